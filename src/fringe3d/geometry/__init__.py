@@ -1,0 +1,31 @@
+"""Projection, rays, epipolar curves and segments."""
+
+from fringe3d.geometry.epipolar import (
+    depth_interval,
+    epipolar_curve,
+    epipolar_segment,
+    frustum,
+    sheet_crossing,
+)
+from fringe3d.geometry.projection import (
+    normalize,
+    pixel_grid,
+    project,
+    rays,
+    triangulation_angle,
+    unproject,
+)
+
+__all__ = [
+    "depth_interval",
+    "epipolar_curve",
+    "epipolar_segment",
+    "frustum",
+    "normalize",
+    "pixel_grid",
+    "project",
+    "rays",
+    "sheet_crossing",
+    "triangulation_angle",
+    "unproject",
+]

@@ -1,0 +1,172 @@
+"""Epipolar segments and curves: the images of a viewing ray in another device."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fringe3d.geometry.projection import normalize, project, rays
+from fringe3d.model import Device, MeasuringVolume
+
+FRUSTUM_SAMPLES = 33
+"""Samples along each image border; enough for the bulge of a distorted border."""
+
+SHEET_ITERATIONS = 12
+SHEET_TOLERANCE_PX = 1e-7
+
+
+def frustum(device: Device, /) -> MeasuringVolume:
+    """Return the pyramid that a device sees or lights, as half-spaces of the world frame.
+
+    The pyramid encloses the (distorted) image border; no point of the image is cut off.
+    """
+    right, bottom = device.n_cols - 0.5, device.n_rows - 0.5
+    xs = np.linspace(-0.5, right, FRUSTUM_SAMPLES)
+    ys = np.linspace(-0.5, bottom, FRUSTUM_SAMPLES)
+    border = np.concatenate(
+        [
+            np.stack([x, y], axis=-1)
+            for x, y in (
+                (xs, np.full_like(xs, -0.5)),
+                (xs, np.full_like(xs, bottom)),
+                (np.full_like(ys, -0.5), ys),
+                (np.full_like(ys, right), ys),
+            )
+        ]
+    )
+    seen = normalize(device, border)
+    lower, upper = np.nanmin(seen, axis=0), np.nanmax(seen, axis=0)
+    normals = np.array(
+        [[-1, 0, lower[0]], [1, 0, -upper[0]], [0, -1, lower[1]], [0, 1, -upper[1]], [0, 0, -1]]
+    )
+    world_from_device = device.device_from_world.inverse()
+    normals_world = world_from_device.rotate(normals)
+    return MeasuringVolume(
+        normals=normals_world, offsets_mm=normals_world @ world_from_device.translation
+    )
+
+
+def depth_interval(
+    origin: NDArray[np.float64], directions: NDArray[np.float64], volume: MeasuringVolume, /
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Clip viewing rays by a convex volume.
+
+    Parameters
+    ----------
+    origin : (3,) float, mm
+    directions : (..., 3) float, unit length
+    volume : MeasuringVolume
+
+    Returns
+    -------
+    near, far : (...) float64, mm
+        Distances along the rays, ``0 <= near``; ``near > far`` where a ray misses the volume,
+        ``far`` infinite where the volume is open.
+    """
+    near = np.zeros(directions.shape[:-1])
+    far = np.full(directions.shape[:-1], np.inf)
+    for normal, offset in zip(volume.normals, volume.offsets_mm, strict=True):
+        slope, room = directions @ normal, offset - origin @ normal
+        with np.errstate(divide="ignore", invalid="ignore"):
+            crossing = room / slope
+        far = np.where(slope > 0, np.minimum(far, crossing), far)
+        near = np.where(slope < 0, np.maximum(near, crossing), near)
+        far = np.where((slope == 0) & (room < 0), -np.inf, far)
+    return near, far
+
+
+def epipolar_curve(
+    a: Device, b: Device, pixel: ArrayLike, depths_mm: ArrayLike, /
+) -> NDArray[np.float64]:
+    """Return the image in `b` of the ray of `a` through one pixel.
+
+    Parameters
+    ----------
+    a, b : Device
+    pixel : (2,) float, px; (x, y) in `a`
+    depths_mm : (n,) float, mm; distances along the ray
+
+    Returns
+    -------
+    (n, 2) float64, px
+        Points of the curve; straight only without distortion. NaN behind `b`.
+    """
+    origin, direction = rays(a, pixel)
+    return project(b, origin + np.asarray(depths_mm, np.float64)[:, None] * direction)
+
+
+def epipolar_segment(
+    a: Device, b: Device, pixels: ArrayLike, volume: MeasuringVolume | None, /
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the part of each viewing ray of `a` inside the volume and the view of `b`.
+
+    Parameters
+    ----------
+    a, b : Device
+    pixels : (..., 2) float, px; (x, y) in `a`
+    volume : MeasuringVolume or None (only the view of `b` bounds the segment)
+
+    Returns
+    -------
+    near, far : (...) float64, mm
+        As `depth_interval`.
+    """
+    origin, directions = rays(a, pixels)
+    seen = frustum(b)
+    bounds = seen if volume is None else volume.intersection(seen)
+    return depth_interval(origin, directions, bounds)
+
+
+def sheet_crossing(
+    projector: Device,
+    origin: NDArray[np.float64],
+    directions: NDArray[np.float64],
+    position_px: NDArray[np.float64],
+    angle: float,
+    /,
+) -> NDArray[np.float64]:
+    """Intersect viewing rays with the light sheets of a projector.
+
+    The sheet is the set of points that the projector lights with the coordinate
+    ``w = cos(angle) (u + 1/2) + sin(angle) (v + 1/2)``. Without distortion it is a plane.
+
+    Parameters
+    ----------
+    projector : Device
+    origin : (3,) float, mm
+    directions : (n, 3) float, unit length
+    position_px : (n,) float, projector px; w
+    angle : float, rad
+
+    Returns
+    -------
+    (n,) float64, mm
+        Distance along each ray; NaN where ray and sheet do not meet in front of the projector.
+
+    Notes
+    -----
+    The pinhole solution ``t = (a - c w) / (e w - b)`` starts a Newton iteration on the exact
+    model. Its derivative is taken by a central difference of 1e-4 of the distance.
+    """
+    axis = np.array([np.cos(angle), np.sin(angle)])
+    half = 0.5 * axis.sum()
+    base = projector.device_from_world.apply(origin)
+    along = projector.device_from_world.rotate(directions)
+    scale = axis * projector.focal_px
+    target = position_px - half - axis @ projector.center_px
+    with np.errstate(divide="ignore", invalid="ignore"):
+        t = (base[:2] @ scale - base[2] * target) / (along[:, 2] * target - along[:, :2] @ scale)
+
+    def position(t: NDArray[np.float64]) -> NDArray[np.float64]:
+        return project(projector, origin + t[:, None] * directions) @ axis + half
+
+    error = np.full_like(t, np.inf)
+    for _ in range(SHEET_ITERATIONS):
+        error = position(t) - position_px
+        if not (np.abs(error) > SHEET_TOLERANCE_PX).any():
+            break
+        step = 1e-4 * np.abs(t)
+        slope = (position(t + step) - position(t - step)) / (2 * step)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            t = t - error / slope
+    return np.where((np.abs(error) <= 1e-4) & (t > 0), t, np.nan)

@@ -1,0 +1,33 @@
+"""The nouns: frozen data, checked once when they are made."""
+
+from fringe3d.model.cloud import PointCloud, PointMap
+from fringe3d.model.correspondences import Correspondences
+from fringe3d.model.device import Device
+from fringe3d.model.phasemap import PhaseMap, WrappedPhaseMap
+from fringe3d.model.plan import Fringe, GrayBit, Pattern, PatternPlan, Uniform, Unused
+from fringe3d.model.pose import RigidTransform
+from fringe3d.model.rejection import Rejection
+from fringe3d.model.rig import Rig
+from fringe3d.model.stack import ImageStack, NoiseModel
+from fringe3d.model.volume import MeasuringVolume
+
+__all__ = [
+    "Correspondences",
+    "Device",
+    "Fringe",
+    "GrayBit",
+    "ImageStack",
+    "MeasuringVolume",
+    "NoiseModel",
+    "Pattern",
+    "PatternPlan",
+    "PhaseMap",
+    "PointCloud",
+    "PointMap",
+    "Rejection",
+    "Rig",
+    "RigidTransform",
+    "Uniform",
+    "Unused",
+    "WrappedPhaseMap",
+]

@@ -1,0 +1,48 @@
+"""Where the second device sees what a pixel of C1 sees."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fringe3d.model._array import frozen
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Correspondences:
+    """Homologous points of C1 and another device, on the pixel grid of C1.
+
+    Parameters
+    ----------
+    device_name : str; the other device
+    pixels : (row, col, 2) float64, px; (x, y) in the other device; NaN where rejected
+    sigma_px : (row, col) float32, px; standard deviation along the epipolar curve
+    epipolar_residual_px : (row, col) float32, px; signed distance from the epipolar curve in the
+        other device; NaN where the point was searched on that curve
+    fringe_order : (row, col) int32; the order (or class of orders) used; -1 where rejected
+    rejection : (row, col) uint16; `Rejection` bits
+    """
+
+    device_name: str
+    pixels: NDArray[np.float64]
+    sigma_px: NDArray[np.float32]
+    epipolar_residual_px: NDArray[np.float32]
+    fringe_order: NDArray[np.int32]
+    rejection: NDArray[np.uint16]
+
+    def __post_init__(self) -> None:
+        for name, dtype in (
+            ("pixels", np.float64),
+            ("sigma_px", np.float32),
+            ("epipolar_residual_px", np.float32),
+            ("fringe_order", np.int32),
+            ("rejection", np.uint16),
+        ):
+            object.__setattr__(self, name, frozen(getattr(self, name), dtype))
+        if self.pixels.shape != (*self.rejection.shape, 2):
+            raise ValueError(
+                f"correspondences: expected pixels of shape {(*self.rejection.shape, 2)}, "
+                f"found {self.pixels.shape}"
+            )

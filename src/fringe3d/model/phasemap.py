@@ -1,0 +1,129 @@
+"""Phase maps of one camera: wrapped, and with what is known of the fringe order."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fringe3d.model._array import frozen
+
+
+def _freeze_maps(owner: Any, **dtypes: Any) -> None:
+    shapes = set()
+    for name, dtype in dtypes.items():
+        array = frozen(getattr(owner, name), dtype)
+        object.__setattr__(owner, name, array)
+        shapes.add(array.shape)
+    if len(shapes) != 1 or len(next(iter(shapes))) != 2:
+        raise ValueError(f"phase map: expected maps (row, col) of one shape, found {shapes}")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class WrappedPhaseMap:
+    """Wrapped phase of one fringe set.
+
+    Parameters
+    ----------
+    phase : (row, col) float32, rad, (-pi, pi]; NaN where rejected
+    offset, modulation : (row, col) float32, DN; A (above the black level) and B of the fringes
+    phase_std : (row, col) float32, rad; predicted standard deviation of `phase`
+    rejection : (row, col) uint16; `Rejection` bits
+    period_px : float, projector px
+    angle : float, rad
+    device_name : str
+    n_shifts : int
+    noise_dn : float, DN; standard deviation of a grey value at the typical brightness
+    harmonic_ratio : float; second harmonic over the first, median; NaN with fewer than 5 steps
+    """
+
+    phase: NDArray[np.float32]
+    offset: NDArray[np.float32]
+    modulation: NDArray[np.float32]
+    phase_std: NDArray[np.float32]
+    rejection: NDArray[np.uint16]
+    period_px: float
+    angle: float
+    device_name: str
+    n_shifts: int
+    noise_dn: float
+    harmonic_ratio: float
+
+    def __post_init__(self) -> None:
+        f4 = np.float32
+        _freeze_maps(
+            self, phase=f4, offset=f4, modulation=f4, phase_std=f4, rejection=np.uint16
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PhaseMap:
+    """Phase of one direction and what the code tells of its fringe order.
+
+    The code may single out the fringe order, or only a *class* of orders that it cannot tell
+    apart (reduced code: every 2**n-th order). ``class_of_order[k]`` is the class of order k,
+    named after its smallest member; a class of one member is the order itself.
+
+    Parameters
+    ----------
+    phase : (row, col) float32, rad, [0, 2 pi); wrapped phase; NaN where rejected
+    order_class : (row, col) int32; -1 where rejected
+    class_of_order : (n_orders,) int32
+    phase_std : (row, col) float32, rad
+    offset, modulation : (row, col) float32, DN
+    rejection : (row, col) uint16; `Rejection` bits
+    period_px : float, projector px
+    angle : float, rad
+    device_name : str
+    n_mended : int; pixels whose code the phase or the neighbours corrected by one cell
+    """
+
+    phase: NDArray[np.float32]
+    order_class: NDArray[np.int32]
+    class_of_order: NDArray[np.int32]
+    phase_std: NDArray[np.float32]
+    offset: NDArray[np.float32]
+    modulation: NDArray[np.float32]
+    rejection: NDArray[np.uint16]
+    period_px: float
+    angle: float
+    device_name: str
+    n_mended: int = 0
+
+    def __post_init__(self) -> None:
+        f4 = np.float32
+        _freeze_maps(
+            self,
+            phase=f4,
+            order_class=np.int32,
+            phase_std=f4,
+            offset=f4,
+            modulation=f4,
+            rejection=np.uint16,
+        )
+        object.__setattr__(self, "class_of_order", frozen(self.class_of_order, np.int32))
+
+    @property
+    def is_absolute(self) -> bool:
+        """Tell whether the code singles out the fringe order."""
+        return bool((self.class_of_order == np.arange(len(self.class_of_order))).all())
+
+    @property
+    def absolute_phase(self) -> NDArray[np.float64]:
+        """Return (row, col) rad, ``phase + 2 pi order``; NaN where rejected.
+
+        Raises
+        ------
+        ValueError
+            If the code leaves several orders.
+        """
+        if not self.is_absolute:
+            raise ValueError("phase map: the code is reduced; the absolute phase is not known")
+        return self.phase.astype(np.float64) + 2 * np.pi * self.order_class
+
+    @property
+    def position_px(self) -> NDArray[np.float64]:
+        """Return (row, col), projector px: the coordinate w across the fringes."""
+        return self.absolute_phase * (self.period_px / (2 * np.pi))

@@ -1,0 +1,40 @@
+"""The rig: cameras, projector and measuring volume in one world frame."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from fringe3d.model.device import Device
+from fringe3d.model.volume import MeasuringVolume
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Rig:
+    """Calibrated devices and the volume in which they measure.
+
+    Parameters
+    ----------
+    cameras : tuple of Device, at least one; the first is C1, the reference
+    projector : Device or None (a stereo rig whose projector nobody calibrated)
+    volume : MeasuringVolume or None (unbounded)
+    provenance : str; where the calibration comes from
+    """
+
+    cameras: tuple[Device, ...]
+    projector: Device | None = None
+    volume: MeasuringVolume | None = None
+    provenance: str = ""
+
+    def __post_init__(self) -> None:
+        if not self.cameras:
+            raise ValueError("rig: expected at least one device with role 'camera', found none")
+        names = [device.name for device in self.devices]
+        if len(set(names)) < len(names):
+            raise ValueError(f"rig: expected a different name for each device, found {names}")
+        if self.projector is not None and self.projector.role != "projector":
+            raise ValueError(f"rig: '{self.projector.name}' stands as projector but is a camera")
+
+    @property
+    def devices(self) -> tuple[Device, ...]:
+        """Return the cameras and, if there is one, the projector."""
+        return (*self.cameras, *((self.projector,) if self.projector else ()))

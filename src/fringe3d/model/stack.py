@@ -1,0 +1,84 @@
+"""The images of one camera, with the plan that they follow."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fringe3d.model._array import frozen
+from fringe3d.model.plan import PatternPlan
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class NoiseModel:
+    """Variance of a grey value, ``read_noise_dn**2 + gain_dn_per_e * (I - black)`` (EMVA 1288).
+
+    Parameters
+    ----------
+    read_noise_dn : float, DN, >= 0; dark noise with quantisation
+    gain_dn_per_e : float, DN per electron, >= 0; the shot noise of the light
+    """
+
+    read_noise_dn: float
+    gain_dn_per_e: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not (self.read_noise_dn >= 0 and self.gain_dn_per_e >= 0):
+            raise ValueError(f"noise: expected numbers >= 0, found {self}")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ImageStack:
+    """Recorded images of one camera.
+
+    Parameters
+    ----------
+    images : (pattern, row, col) uint8 or uint16, DN
+    plan : PatternPlan with as many patterns
+    device_name : str
+    saturation_dn : float, DN; grey values from here on are saturated
+    black_level_dn : float, DN; grey value without light
+    noise : NoiseModel or None (estimated from the images)
+    """
+
+    images: NDArray[np.unsignedinteger[Any]]
+    plan: PatternPlan
+    device_name: str
+    saturation_dn: float
+    black_level_dn: float = 0.0
+    noise: NoiseModel | None = None
+
+    def __post_init__(self) -> None:
+        images = np.asarray(self.images)
+        if images.ndim != 3 or images.dtype not in (np.uint8, np.uint16):
+            raise ValueError(
+                f"camera '{self.device_name}': expected images (pattern, row, col) of 8 or 16 bit, "
+                f"found shape {images.shape} of {images.dtype}"
+            )
+        if len(images) != self.plan.n_images:
+            raise ValueError(
+                f"camera '{self.device_name}': expected {self.plan.n_images} images as the plan "
+                f"lists, found {len(images)}"
+            )
+        object.__setattr__(self, "images", frozen(images, images.dtype))
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Return (n_rows, n_cols) of the images."""
+        return self.images.shape[1], self.images.shape[2]
+
+    def subset(self, indices: Iterable[int] | Sequence[int]) -> ImageStack:
+        """Return the stack that keeps only the images with these places."""
+        places = list(indices)
+        return ImageStack(
+            images=self.images if places == list(range(len(self.images))) else self.images[places],
+            plan=self.plan.subset(places),
+            device_name=self.device_name,
+            saturation_dn=self.saturation_dn,
+            black_level_dn=self.black_level_dn,
+            noise=self.noise,
+        )

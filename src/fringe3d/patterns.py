@@ -1,0 +1,164 @@
+"""Intensity of a pattern at projector coordinates, and images of patterns."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fringe3d.model import Fringe, GrayBit, Pattern, PatternPlan, Uniform
+from fringe3d.model.plan import fringes, gray_code
+
+EDGE_TOLERANCE = 1e-9
+"""Cells; keeps a pixel centre that falls on a cell edge on its upper side despite rounding."""
+
+
+def across(angle: float, x: ArrayLike, y: ArrayLike, /) -> NDArray[np.float64]:
+    """Return w, the coordinate across fringes of this angle (rad), at projector pixels (x, y).
+
+    ``w = cos(angle) (x + 1/2) + sin(angle) (y + 1/2)``, projector px.
+    """
+    x, y = np.asarray(x, np.float64), np.asarray(y, np.float64)
+    w: NDArray[np.float64] = math.cos(angle) * (x + 0.5) + math.sin(angle) * (y + 0.5)
+    return w
+
+
+def gray_bit(pattern: GrayBit, w: ArrayLike, /) -> NDArray[np.bool_]:
+    """Tell where a Gray-code image is bright, at the coordinate w across its stripes (px)."""
+    cell = np.floor(np.asarray(w, np.float64) / pattern.cell_px + EDGE_TOLERANCE).astype(np.int64)
+    number = (cell + pattern.first_cell) % (1 << pattern.n_bits)
+    code = number ^ (number >> 1)
+    bright: NDArray[np.bool_] = ((code >> pattern.bit) & 1).astype(bool) ^ pattern.inverted
+    return bright
+
+
+def intensity(pattern: Pattern, x: ArrayLike, y: ArrayLike, /) -> NDArray[np.float64]:
+    """Return the intensity of a pattern at projector coordinates.
+
+    Parameters
+    ----------
+    pattern : Pattern
+    x, y : float, projector px; pixel centres are integers
+
+    Returns
+    -------
+    float64, 0 (dark) to 1 (bright), of the broadcast shape of x and y
+
+    Raises
+    ------
+    ValueError
+        For an `Unused` pattern, of which nothing is known.
+
+    Examples
+    --------
+    >>> intensity(Fringe(period_px=16, shift=0.0), 7.5, 0.0).item()
+    0.0
+    """
+    match pattern:
+        case Fringe():
+            phase = 2 * np.pi / pattern.period_px * across(pattern.angle, x, y)
+            return 0.5 + 0.5 * np.cos(phase - pattern.shift)
+        case GrayBit():
+            return gray_bit(pattern, across(pattern.angle, x, y)).astype(np.float64)
+        case Uniform():
+            shape = np.broadcast_shapes(np.shape(x), np.shape(y))
+            return np.full(shape, pattern.level)
+        case _:
+            raise ValueError("pattern: an unused image has no known intensity")
+
+
+def pattern_image(
+    pattern: Pattern, shape: tuple[int, int], /, *, bit_depth: int = 8
+) -> NDArray[np.unsignedinteger[Any]]:
+    """Return a pattern as the projector's image, sampled at its pixel centres.
+
+    Parameters
+    ----------
+    pattern : Pattern
+    shape : (n_rows, n_cols) of the projector
+    bit_depth : 8 or 16
+
+    Returns
+    -------
+    (row, col) uint8 or uint16; full scale is bright
+    """
+    rows, cols = np.ogrid[: shape[0], : shape[1]]
+    values = np.broadcast_to(intensity(pattern, cols, rows), shape)
+    dtype = np.uint8 if bit_depth == 8 else np.uint16
+    return np.round(values * np.iinfo(dtype).max).astype(dtype)
+
+
+def extent_px(shape: tuple[int, int], angle: float, /) -> tuple[float, float]:
+    """Return the smallest and largest w of a projector of `shape` (n_rows, n_cols), px."""
+    corners = across(angle, [-0.5, shape[1] - 0.5, -0.5, shape[1] - 0.5],
+                     [-0.5, -0.5, shape[0] - 0.5, shape[0] - 0.5])  # fmt: skip
+    return float(corners.min()), float(corners.max())
+
+
+def full_gray_bits(shape: tuple[int, int], cell_px: float, angle: float, /) -> int:
+    """Return how many Gray-code images number every cell of a projector uniquely.
+
+    Examples
+    --------
+    >>> full_gray_bits((768, 1024), 16.0, 0.0)
+    6
+    """
+    lower, upper = extent_px(shape, angle)
+    n_cells = math.ceil(upper / cell_px - EDGE_TOLERANCE) - math.floor(
+        lower / cell_px + EDGE_TOLERANCE
+    )
+    return max(1, math.ceil(math.log2(n_cells)))
+
+
+def sequence(
+    shape: tuple[int, int],
+    /,
+    *,
+    periods_px: tuple[float, ...],
+    n_shifts: int,
+    angles: tuple[float, ...] = (0.0,),
+    reverse: bool = False,
+    gray: str = "complementary",
+    gray_bits: int | None = None,
+    inverses: bool = False,
+    light_dark: bool = False,
+) -> PatternPlan:
+    """Compose a plan for a projector from fringes, Gray code and uniform images.
+
+    Parameters
+    ----------
+    shape : (n_rows, n_cols) of the projector
+    periods_px : float, projector px; the code numbers the periods of the first one
+    n_shifts : int, >= 3; 0 for Gray code alone, with cells of the first period's width
+    angles : float, rad; one full set of images for each
+    reverse : bool; the fringes move towards smaller w
+    gray : "none", "plain" (cells of one period) or "complementary" (cells of half a period)
+    gray_bits : int or None
+        Number of periods told apart is ``2**gray_bits`` (cyclic if that is fewer than there
+        are); all of them if None. A complementary code has one image more.
+    inverses, light_dark : bool; thresholds for the code, besides the mean of the fringes
+
+    Examples
+    --------
+    >>> plan = sequence((768, 1024), periods_px=(16.0,), n_shifts=4)
+    >>> plan.n_images, plan.gray_sets[0].n_bits
+    (11, 7)
+    """
+    if not periods_px:
+        raise ValueError("plan: expected at least one period_px, found none")
+    if gray not in ("none", "plain", "complementary"):
+        raise ValueError(f"plan: expected gray none, plain or complementary, found '{gray}'")
+    patterns: list[Pattern] = []
+    for angle in angles:
+        for period in periods_px if n_shifts else ():
+            patterns += fringes(period, n_shifts, angle=angle, reverse=reverse)
+        if gray != "none":
+            extra = 1 if gray == "complementary" else 0
+            bits = gray_bits or full_gray_bits(shape, periods_px[0], angle)
+            cell = periods_px[0] / (1 + extra)
+            patterns += gray_code(cell, bits + extra, angle=angle, inverses=inverses)
+    if light_dark:
+        patterns += [Uniform(level=1.0), Uniform(level=0.0)]
+    return PatternPlan(patterns=tuple(patterns), projector_shape=shape)
