@@ -1,6 +1,7 @@
 """Projection, rays, epipolar curves and segments."""
 
 from fringe3d.geometry.epipolar import (
+    closest_depths,
     depth_interval,
     epipolar_curve,
     epipolar_segment,
@@ -17,6 +18,7 @@ from fringe3d.geometry.projection import (
 )
 
 __all__ = [
+    "closest_depths",
     "depth_interval",
     "epipolar_curve",
     "epipolar_segment",

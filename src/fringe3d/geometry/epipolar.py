@@ -170,3 +170,31 @@ def sheet_crossing(
         with np.errstate(divide="ignore", invalid="ignore"):
             t = t - error / slope
     return np.where((np.abs(error) <= 1e-4) & (t > 0), t, np.nan)
+
+
+def closest_depths(
+    origin_a: NDArray[np.float64],
+    directions_a: NDArray[np.float64],
+    origin_b: NDArray[np.float64],
+    directions_b: NDArray[np.float64],
+    /,
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the distances along two sets of rays at which they are closest to each other.
+
+    Parameters
+    ----------
+    origin_a, origin_b : (3,) float, mm
+    directions_a, directions_b : (n, 3) float, unit length
+
+    Returns
+    -------
+    depth_a, depth_b : (n,) float64, mm
+        Negative behind the origin; NaN or infinite for parallel rays.
+    """
+    base = origin_b - origin_a
+    cosine = (directions_a * directions_b).sum(-1)
+    along_a, along_b = directions_a @ base, directions_b @ base
+    with np.errstate(divide="ignore", invalid="ignore"):
+        depth_a = (along_a - cosine * along_b) / (1 - cosine**2)
+        depth_b = (cosine * along_a - along_b) / (1 - cosine**2)
+    return depth_a, depth_b

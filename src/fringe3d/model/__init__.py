@@ -3,7 +3,7 @@
 from fringe3d.model.cloud import PointCloud, PointMap
 from fringe3d.model.correspondences import Correspondences
 from fringe3d.model.device import Device
-from fringe3d.model.phasemap import PhaseMap, WrappedPhaseMap
+from fringe3d.model.phasemap import NO_ORDER, PhaseMap, WrappedPhaseMap
 from fringe3d.model.plan import Fringe, GrayBit, Pattern, PatternPlan, Uniform, Unused
 from fringe3d.model.pose import RigidTransform
 from fringe3d.model.rejection import Rejection
@@ -12,6 +12,7 @@ from fringe3d.model.stack import ImageStack, NoiseModel
 from fringe3d.model.volume import MeasuringVolume
 
 __all__ = [
+    "NO_ORDER",
     "Correspondences",
     "Device",
     "Fringe",

@@ -21,7 +21,7 @@ class Correspondences:
     sigma_px : (row, col) float32, px; standard deviation along the epipolar curve
     epipolar_residual_px : (row, col) float32, px; signed distance from the epipolar curve in the
         other device; NaN where the point was searched on that curve
-    fringe_order : (row, col) int32; the order (or class of orders) used; -1 where rejected
+    fringe_order : (row, col) int32; the order (or class of orders) used; `NO_ORDER` where rejected
     rejection : (row, col) uint16; `Rejection` bits
     """
 

@@ -10,6 +10,9 @@ from numpy.typing import NDArray
 
 from fringe3d.model._array import frozen
 
+NO_ORDER = -(2**31)
+"""Stands in integer maps where there is no fringe order (orders may be negative)."""
+
 
 def _freeze_maps(owner: Any, **dtypes: Any) -> None:
     shapes = set()
@@ -53,9 +56,7 @@ class WrappedPhaseMap:
 
     def __post_init__(self) -> None:
         f4 = np.float32
-        _freeze_maps(
-            self, phase=f4, offset=f4, modulation=f4, phase_std=f4, rejection=np.uint16
-        )
+        _freeze_maps(self, phase=f4, offset=f4, modulation=f4, phase_std=f4, rejection=np.uint16)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -63,14 +64,16 @@ class PhaseMap:
     """Phase of one direction and what the code tells of its fringe order.
 
     The code may single out the fringe order, or only a *class* of orders that it cannot tell
-    apart (reduced code: every 2**n-th order). ``class_of_order[k]`` is the class of order k,
-    named after its smallest member; a class of one member is the order itself.
+    apart (reduced code: every 2**n-th order). ``class_of_order[i]`` is the class of order
+    ``first_order + i``, named after its smallest member; a class of one member is the order
+    itself. `first_order` is negative where the fringe angle makes w negative.
 
     Parameters
     ----------
     phase : (row, col) float32, rad, [0, 2 pi); wrapped phase; NaN where rejected
-    order_class : (row, col) int32; -1 where rejected
+    order_class : (row, col) int32; `NO_ORDER` where rejected
     class_of_order : (n_orders,) int32
+    first_order : int
     phase_std : (row, col) float32, rad
     offset, modulation : (row, col) float32, DN
     rejection : (row, col) uint16; `Rejection` bits
@@ -90,6 +93,7 @@ class PhaseMap:
     period_px: float
     angle: float
     device_name: str
+    first_order: int = 0
     n_mended: int = 0
 
     def __post_init__(self) -> None:
@@ -108,7 +112,8 @@ class PhaseMap:
     @property
     def is_absolute(self) -> bool:
         """Tell whether the code singles out the fringe order."""
-        return bool((self.class_of_order == np.arange(len(self.class_of_order))).all())
+        orders = np.arange(len(self.class_of_order)) + self.first_order
+        return bool((self.class_of_order == orders).all())
 
     @property
     def absolute_phase(self) -> NDArray[np.float64]:
@@ -121,7 +126,7 @@ class PhaseMap:
         """
         if not self.is_absolute:
             raise ValueError("phase map: the code is reduced; the absolute phase is not known")
-        return self.phase.astype(np.float64) + 2 * np.pi * self.order_class
+        return self.phase + 2 * np.pi * self.order_class.astype(np.float64)
 
     @property
     def position_px(self) -> NDArray[np.float64]:

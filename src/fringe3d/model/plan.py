@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-MAX_GRAY_BITS = 24
-"""Bits of a code word that the decoder keeps exactly."""
+MAX_GRAY_BITS = 16
+"""65 536 cells: more than any projector has columns."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -45,7 +45,7 @@ class GrayBit:
     Parameters
     ----------
     bit : int, 0 <= bit < n_bits; 0 is the finest (least significant)
-    n_bits : int, 1..24
+    n_bits : int, 1..16
     cell_px : float, projector px, > 0
     angle : float, rad; as for `Fringe`
     inverted : bool; dark where the bit is 1

@@ -70,3 +70,8 @@ def count_by_reason(rejection: NDArray[np.uint16]) -> dict[str, int]:
     lowest = values & -values
     counts = {reason.name or "": int((lowest == reason).sum()) for reason in Rejection}
     return {name: count for name, count in counts.items() if count}
+
+
+def reject(rejection: NDArray[np.uint16], where: NDArray[np.bool_], reason: Rejection, /) -> None:
+    """Set the bit of `reason` in place where `where` is True."""
+    rejection[where] |= np.uint16(reason)

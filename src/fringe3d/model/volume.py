@@ -79,9 +79,7 @@ class MeasuringVolume:
         return MeasuringVolume(normals=normals, offsets_mm=normals @ center + reach)
 
     @staticmethod
-    def depth_slab(
-        device: Device, *, depth_min_mm: float, depth_max_mm: float
-    ) -> MeasuringVolume:
+    def depth_slab(device: Device, *, depth_min_mm: float, depth_max_mm: float) -> MeasuringVolume:
         """Return the slab between two depths along the principal ray of `device`."""
         if not depth_min_mm < depth_max_mm:
             raise ValueError(

@@ -1,0 +1,136 @@
+"""Two cameras: the point of equal phase on the epipolar curve (methods M1 and M2)."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fringe3d.correspond import _search
+from fringe3d.errors import MethodError
+from fringe3d.geometry import depth_interval, frustum, pixel_grid, rays
+from fringe3d.geometry.projection import lens_of
+from fringe3d.model import (
+    NO_ORDER,
+    Correspondences,
+    Device,
+    MeasuringVolume,
+    PhaseMap,
+    Rejection,
+)
+from fringe3d.model.rejection import reject
+
+INTERPOLATION_WEIGHT = 4.0 / 9.0
+"""Mean sum of squared weights of a bilinear interpolation at a random place, (2/3)**2."""
+
+
+def match_cameras(
+    phases1: PhaseMap,
+    phases2: PhaseMap,
+    camera1: Device,
+    camera2: Device,
+    volume: MeasuringVolume | None,
+    /,
+) -> Correspondences:
+    """Find in C2 the point with the phase and order of each pixel of C1.
+
+    The epipolar curve (exact, with distortion) is followed inside the volume and the view of
+    C2; where the signed phase difference changes its sign and the order class agrees, linear
+    interpolation places the point, refined on the curve. A full code makes it method M1, a
+    reduced one M2 without the projector's help.
+
+    Parameters
+    ----------
+    phases1, phases2 : PhaseMap of C1 and C2, of the same fringes
+    camera1, camera2 : Device
+    volume : MeasuringVolume or None
+
+    Returns
+    -------
+    Correspondences
+        OUTSIDE_VIEW where C2 cannot see the segment, NO_MATCH where no point of it has the
+        phase, AMBIGUOUS where several have.
+
+    Notes
+    -----
+    ``sigma_px = sqrt(sigma_1**2 + sigma_2**2 4/9) / |d phi_2 / ds|``.
+    """
+    _require_same_fringes(phases1, phases2)
+    valid = phases1.rejection == 0
+    origin, directions = rays(camera1, pixel_grid(valid.shape)[valid])  # type: ignore[arg-type]
+    seen = frustum(camera2)
+    bounds = seen if volume is None else volume.intersection(seen)
+    near, far = depth_interval(origin, directions, bounds)
+    found = np.empty((len(near), 4))
+    state = np.empty(len(near), np.int8)
+    to_c2 = camera2.device_from_world
+    _search.search(
+        phases1.phase[valid],
+        phases1.order_class[valid],
+        to_c2.apply(origin),
+        np.ascontiguousarray(to_c2.rotate(directions)),
+        near,
+        far,
+        lens_of(camera2),
+        phases2.phase,
+        phases2.order_class,
+        found,
+        state,
+    )
+    return _correspondences(phases1, phases2, camera2.name, valid, found, state)
+
+
+def _require_same_fringes(a: PhaseMap, b: PhaseMap) -> None:
+    same = (
+        a.period_px == b.period_px
+        and a.angle == b.angle
+        and np.array_equal(a.class_of_order, b.class_of_order)
+    )
+    if not same:
+        raise MethodError(
+            f"cameras '{a.device_name}' and '{b.device_name}': expected phases of the same fringes "
+            f"and code, found periods {a.period_px:g} and {b.period_px:g} px at "
+            f"{np.degrees(a.angle):g} and {np.degrees(b.angle):g} degrees"
+        )
+
+
+def _correspondences(
+    phases1: PhaseMap,
+    phases2: PhaseMap,
+    name: str,
+    valid: NDArray[np.bool_],
+    found: NDArray[np.float64],
+    state: NDArray[np.int8],
+) -> Correspondences:
+    rejection = phases1.rejection.copy()
+    full_state = np.full(valid.shape, _search.FOUND, np.int8)
+    full_state[valid] = state
+    for code, reason in (
+        (_search.NO_VIEW, Rejection.OUTSIDE_VIEW),
+        (_search.NONE, Rejection.NO_MATCH),
+        (_search.SEVERAL, Rejection.AMBIGUOUS),
+    ):
+        reject(rejection, full_state == code, reason)
+    good = rejection == 0
+    pixels = np.full((*valid.shape, 2), np.nan)
+    slope = np.full(valid.shape, np.nan)
+    pixels[valid], slope[valid] = found[:, :2], found[:, 3]
+    pixels[~good] = np.nan
+    sigma = np.full(valid.shape, np.nan, np.float32)
+    col, row = np.rint(pixels[good]).astype(int).T
+    variance2 = (
+        phases2.phase_std[
+            np.clip(row, 0, phases2.phase.shape[0] - 1), np.clip(col, 0, phases2.phase.shape[1] - 1)
+        ].astype(np.float64)
+        ** 2
+    )
+    variance = phases1.phase_std[good].astype(np.float64) ** 2 + INTERPOLATION_WEIGHT * variance2
+    with np.errstate(divide="ignore"):
+        sigma[good] = np.sqrt(variance) / np.abs(slope[good])
+    return Correspondences(
+        device_name=name,
+        pixels=pixels,
+        sigma_px=sigma,
+        epipolar_residual_px=np.full(valid.shape, np.nan, np.float32),
+        fringe_order=np.where(good, phases1.order_class, NO_ORDER),
+        rejection=rejection,
+    )

@@ -1,0 +1,162 @@
+"""Everything that the images of one camera tell about the projector coordinates."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from fringe3d.decode.code_only import phase_from_code
+from fringe3d.decode.gray import code_words
+from fringe3d.decode.order import (
+    OrderTable,
+    order_from_code,
+    order_table,
+    order_unknown,
+)
+from fringe3d.decode.periods import order_from_coarser, order_from_periods
+from fringe3d.decode.phase import wrapped_phase
+from fringe3d.errors import MethodError
+from fringe3d.model import ImageStack, PhaseMap, WrappedPhaseMap
+from fringe3d.model.plan import GraySet, PatternPlan
+from fringe3d.patterns import extent_px
+
+
+@dataclass(frozen=True, slots=True)
+class DirectionPhases:
+    """Phases of one fringe angle.
+
+    Parameters
+    ----------
+    main : PhaseMap; of the period with the smallest predicted error in projector px
+    others : tuple of PhaseMap; of the other periods, on the same footing
+    wrapped : tuple of WrappedPhaseMap; as decoded, in the order of the plan
+    """
+
+    main: PhaseMap
+    others: tuple[PhaseMap, ...]
+    wrapped: tuple[WrappedPhaseMap, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class CameraPhases:
+    """Phases of one camera, one entry for each fringe angle, in the order of the plan."""
+
+    device_name: str
+    directions: tuple[DirectionPhases, ...]
+
+
+def decode(
+    stack: ImageStack,
+    projector_shape: tuple[int, int] | None = None,
+    /,
+    *,
+    min_modulation_dn: float | None = None,
+) -> CameraPhases:
+    """Decode all fringe and Gray-code images of one camera.
+
+    Parameters
+    ----------
+    stack : ImageStack
+    projector_shape : (n_rows, n_cols) or None
+        Overrides that of the plan. Without either, the code bounds the projector.
+    min_modulation_dn : float or None, DN; see `wrapped_phase`
+
+    Returns
+    -------
+    CameraPhases
+
+    Raises
+    ------
+    MethodError
+        If the plan holds neither fringes nor a Gray code, or not enough of them.
+    """
+    plan = stack.plan
+    if not plan.angles:
+        raise MethodError(
+            f"camera '{stack.device_name}': the plan holds neither fringes nor Gray code; "
+            "there is nothing to decode"
+        )
+    shape = projector_shape or plan.projector_shape
+    # The mean of any fringes is the threshold for the code, whatever their direction.
+    wrapped = [
+        wrapped_phase(stack, fringe_set, min_modulation_dn=min_modulation_dn)
+        for fringe_set in plan.fringe_sets
+    ]
+    directions = [
+        _decode_direction(stack, angle, wrapped, _extent(plan, angle, shape))
+        for angle in plan.angles
+    ]
+    return CameraPhases(stack.device_name, tuple(directions))
+
+
+def _decode_direction(
+    stack: ImageStack,
+    angle: float,
+    wrapped: Sequence[WrappedPhaseMap],
+    extent: tuple[float, float],
+) -> DirectionPhases:
+    maps = [m for m in wrapped if m.angle == angle]
+    codes = [g for g in stack.plan.gray_sets if g.angle == angle]
+    if not maps:
+        return DirectionPhases(phase_from_code(stack, codes[0], extent), (), ())
+    if codes:
+        known = _orders_by_code(stack, codes[0], maps, wrapped[0], extent)
+    elif len(maps) > 1:
+        known = order_from_periods(maps, extent)
+    else:
+        known = order_unknown(maps[0], extent)
+    if known.is_absolute:
+        phases = [
+            known if m.period_px == known.period_px else order_from_coarser(m, known) for m in maps
+        ]
+    else:
+        phases = [known]
+    main, *others = sorted(phases, key=_position_error)
+    return DirectionPhases(main, tuple(others), tuple(maps))
+
+
+def _orders_by_code(
+    stack: ImageStack,
+    code: GraySet,
+    maps: Sequence[WrappedPhaseMap],
+    any_fringes: WrappedPhaseMap,
+    extent: tuple[float, float],
+) -> PhaseMap:
+    """Number the periods of the fringes that the code suits best."""
+    mean_dn = any_fringes.offset + np.float32(stack.black_level_dn)
+    words = code_words(stack, code, mean_dn=mean_dn)
+    tables = [order_table(code, m.period_px, extent) for m in maps]
+    best = min(range(len(maps)), key=lambda i: _ambiguity(tables[i], maps[i].period_px))
+    at_wrap = code.cell_px > 0.75 * maps[best].period_px
+    return order_from_code(maps[best], words, tables[best], edges_at_wrap=at_wrap)
+
+
+def _ambiguity(table: OrderTable, period_px: float) -> tuple[float, float]:
+    """Rank fringes for a code: few orders in a class first, then the finer period."""
+    classes = table.classes.class_of_order
+    return len(classes) / len(np.unique(classes)), period_px
+
+
+def _position_error(phases: PhaseMap) -> float:
+    """Return the typical standard deviation of w, projector px."""
+    good = phases.rejection == 0
+    if not good.any():
+        return float("inf")
+    return float(np.median(phases.phase_std[good])) * phases.period_px
+
+
+def _extent(plan: PatternPlan, angle: float, shape: tuple[int, int] | None) -> tuple[float, float]:
+    if shape is not None:
+        return extent_px(shape, angle)
+    codes = [g for g in plan.gray_sets if g.angle == angle]
+    if codes:
+        return 0.0, codes[0].cell_px * (1 << codes[0].n_bits)
+    periods = [f.period_px for f in plan.fringe_sets if f.angle == angle]
+    if len(periods) == 1:
+        return 0.0, periods[0]
+    raise MethodError(
+        "plan: the size of the projector image is needed to number the fringes, and neither the "
+        "plan nor the rig has it. Add 'projector_size = [width, height]' to the scan file"
+    )

@@ -1,0 +1,119 @@
+"""Projector coordinates from Gray code alone, without fringes."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fringe3d.decode._smooth import local_planes
+from fringe3d.decode.gray import CodeWords, code_words, expected_words
+from fringe3d.decode.order import all_orders
+from fringe3d.errors import MethodError
+from fringe3d.model import NO_ORDER, ImageStack, PhaseMap, Rejection
+from fringe3d.model.plan import GraySet
+from fringe3d.model.rejection import reject
+
+MIN_CONTRAST_OF_RANGE = 0.02
+"""Part of the grey-value range (5 DN of 255) that light and dark must differ by."""
+
+WINDOW_RADIUS_PX = 3
+"""7 x 7 camera pixels hold several cells; their steps average out."""
+
+MAX_SLOPE = 3.0
+"""Projector cells per camera pixel that still count as one surface."""
+
+
+def phase_from_code(
+    stack: ImageStack, gray_set: GraySet, extent_px: tuple[float, float], /
+) -> PhaseMap:
+    """Decode a full Gray code to a phase of one turn per cell.
+
+    The steps of the code are smoothed by a plane through each pixel's neighbourhood (7 x 7),
+    which gives projector coordinates a few times finer than the cells.
+
+    Parameters
+    ----------
+    stack : ImageStack
+    gray_set : GraySet
+    extent_px : smallest and largest w of the projector, px
+
+    Raises
+    ------
+    MethodError
+        If the code does not number all cells, or has no threshold.
+    """
+    words = code_words(stack, gray_set, mean_dn=None)
+    orders = all_orders(gray_set.cell_px, extent_px)
+    expected = expected_words(gray_set, (orders.class_of_order + 0.5) * gray_set.cell_px)
+    if len(np.unique(expected)) < len(expected):
+        raise MethodError(
+            f"camera '{stack.device_name}': {len(gray_set.bits)} Gray-code bits do not tell "
+            f"{len(expected)} cells of {gray_set.cell_px:g} px apart, and there are no fringes. "
+            "Keep more bits"
+        )
+    cell_of_word = np.full(1 << len(gray_set.bits), NO_ORDER, np.int32)
+    cell_of_word[expected] = orders.class_of_order
+    cell = cell_of_word[words.word]
+
+    offset, modulation = _brightness(stack, gray_set)
+    rejection = _rejection(stack, gray_set, modulation, words)
+    reject(rejection, (rejection == 0) & (cell == NO_ORDER), Rejection.INCONSISTENT_CODE)
+    w, sigma = _smooth_cells(cell, rejection == 0, gray_set.cell_px)
+    reject(rejection, (rejection == 0) & np.isnan(w), Rejection.ISOLATED)
+    turns = np.where(rejection == 0, w / gray_set.cell_px, 0.0)
+    order = np.clip(np.floor(turns), orders.class_of_order[0], orders.class_of_order[-1])
+    phase = np.clip(2 * np.pi * (turns - order), 0, np.nextafter(2 * np.pi, 0))
+    return PhaseMap(
+        phase=np.where(rejection == 0, phase, np.nan),
+        order_class=np.where(rejection == 0, order, NO_ORDER),
+        class_of_order=orders.class_of_order,
+        first_order=orders.first_order,
+        phase_std=2 * np.pi * sigma / gray_set.cell_px,
+        offset=offset,
+        modulation=modulation,
+        rejection=rejection,
+        period_px=gray_set.cell_px,
+        angle=gray_set.angle,
+        device_name=stack.device_name,
+    )
+
+
+def _brightness(
+    stack: ImageStack, gray_set: GraySet
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Return half the sum (above black) and half the difference of light and dark."""
+    light, dark = stack.plan.uniform_index(1.0), stack.plan.uniform_index(0.0)
+    if light >= 0 and dark >= 0:
+        high, low = stack.images[light].astype(np.float32), stack.images[dark].astype(np.float32)
+    else:
+        places = [i for i in (*gray_set.indices, *gray_set.inverses) if i >= 0]
+        images = stack.images[places]
+        high, low = images.max(axis=0).astype(np.float32), images.min(axis=0).astype(np.float32)
+    return (high + low) / 2 - np.float32(stack.black_level_dn), (high - low) / 2
+
+
+def _rejection(
+    stack: ImageStack, gray_set: GraySet, modulation: NDArray[np.float32], words: CodeWords
+) -> NDArray[np.uint16]:
+    rejection = np.zeros(stack.shape, np.uint16)
+    contrast = MIN_CONTRAST_OF_RANGE * (stack.saturation_dn - stack.black_level_dn)
+    reject(
+        rejection, (2 * modulation < contrast) | (words.contrast_dn == 0), Rejection.LOW_MODULATION
+    )
+    # Saturated light does not harm a bit; saturated dark does.
+    places = [i for i in (*gray_set.indices, *gray_set.inverses) if i >= 0]
+    always = np.ones(stack.shape, bool)
+    for place in places:
+        always &= stack.images[place] >= stack.saturation_dn
+    reject(rejection, always, Rejection.SATURATED)
+    return rejection
+
+
+def _smooth_cells(
+    cell: NDArray[np.int32], valid: NDArray[np.bool_], cell_px: float
+) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
+    values = np.where(valid, cell, np.nan).astype(np.float32)
+    smooth, sigma = np.empty_like(values), np.empty_like(values)
+    gate = np.float32(1 + MAX_SLOPE * WINDOW_RADIUS_PX)
+    local_planes(values, WINDOW_RADIUS_PX, gate, np.float32(1), smooth, sigma)
+    return (smooth.astype(np.float64) + 0.5) * cell_px, sigma * np.float32(cell_px)

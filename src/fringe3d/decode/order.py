@@ -1,0 +1,221 @@
+"""Fringe orders from code words and wrapped phase."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from fringe3d.decode.gray import CodeWords, expected_words
+from fringe3d.model import NO_ORDER, PhaseMap, Rejection, WrappedPhaseMap
+from fringe3d.model.plan import GraySet
+from fringe3d.model.rejection import reject
+from fringe3d.patterns import EDGE_TOLERANCE
+
+PHASE_BINS = 16
+"""Parts of a period in which the code is looked up; a cell of half a period holds eight."""
+
+MAX_MISREAD = 0.25
+"""Periods by which a code edge may seem to be displaced: half the smallest cell."""
+
+TWO_PI = 2 * np.pi
+
+
+@dataclass(frozen=True, slots=True)
+class OrderClasses:
+    """The fringe orders on a projector, and which of them a code cannot tell apart.
+
+    See `PhaseMap` for `first_order` and `class_of_order`.
+    """
+
+    first_order: int
+    class_of_order: NDArray[np.int32]
+
+    @property
+    def is_absolute(self) -> bool:
+        """Tell whether every class is a single order."""
+        return len(np.unique(self.class_of_order)) == len(self.class_of_order)
+
+
+def all_orders(period_px: float, extent_px: tuple[float, float], /) -> OrderClasses:
+    """Return the orders of the periods between two coordinates w (px), each its own class."""
+    first = math.floor(extent_px[0] / period_px + EDGE_TOLERANCE)
+    last = math.ceil(extent_px[1] / period_px - EDGE_TOLERANCE)
+    return OrderClasses(first, np.arange(first, last, dtype=np.int32))
+
+
+@dataclass(frozen=True, slots=True)
+class OrderTable:
+    """Which class of fringe orders a word means, for each part of the period.
+
+    Parameters
+    ----------
+    by_word : (2**n, PHASE_BINS) int32; class, or `NO_ORDER` where word and phase contradict
+    naive : (2**n,) int32; class that the word alone would give
+    classes : OrderClasses
+    """
+
+    by_word: NDArray[np.int32]
+    naive: NDArray[np.int32]
+    classes: OrderClasses
+
+
+def order_table(
+    gray_set: GraySet, period_px: float, extent_px: tuple[float, float], /
+) -> OrderTable:
+    """Tabulate the meaning of every code word for fringes of one period.
+
+    Any code fits that is a function of the projector coordinate: full, over-determined
+    (complementary), reduced cyclic, or with bits left out. Orders that show the same words
+    everywhere form one class. Where the phase says that an edge of the code is near, the word
+    from across that edge is accepted, too: so a bit that was misread at its edge does no harm,
+    provided that the code has no edge where the phase wraps (cells of half a period).
+
+    Parameters
+    ----------
+    gray_set : GraySet
+    period_px : float, projector px
+    extent_px : smallest and largest w of the projector, px
+    """
+    orders = all_orders(period_px, extent_px).class_of_order
+    parts = (np.arange(PHASE_BINS) + 0.5) / PHASE_BINS
+    w = (orders[:, None] + parts) * period_px
+    words = expected_words(gray_set, w)
+
+    names: dict[bytes, int] = {}
+    class_of_order = np.array(
+        [names.setdefault(row.tobytes(), int(k)) for k, row in zip(orders, words, strict=True)],
+        np.int32,
+    )
+    by_word = np.full((1 << len(gray_set.bits), PHASE_BINS), NO_ORDER, np.int32)
+    bins = np.arange(PHASE_BINS)
+    for shift in _nearest_first():
+        seen = expected_words(gray_set, w + shift * period_px)
+        for name, row in zip(class_of_order, seen, strict=True):
+            empty = by_word[row, bins] == NO_ORDER
+            by_word[row[empty], bins[empty]] = name
+    naive = np.full(len(by_word), NO_ORDER, np.int32)
+    naive[words[::-1].ravel()] = np.repeat(class_of_order[::-1], PHASE_BINS)
+    return OrderTable(by_word, naive, OrderClasses(int(orders[0]), class_of_order))
+
+
+def _nearest_first() -> list[float]:
+    steps = np.arange(1, round(MAX_MISREAD * PHASE_BINS) + 1) / PHASE_BINS
+    return [0.0, *(sign * step for step in steps for sign in (-1.0, 1.0))]
+
+
+def order_from_code(
+    wrapped: WrappedPhaseMap, words: CodeWords, table: OrderTable, /, *, edges_at_wrap: bool
+) -> PhaseMap:
+    """Combine wrapped phase and code words.
+
+    Parameters
+    ----------
+    wrapped : WrappedPhaseMap
+    words : CodeWords
+    table : OrderTable
+    edges_at_wrap : bool
+        The code has edges where the phase wraps (plain code): orders next to such an edge are
+        then corrected by the nearest pixel in the middle of a period.
+
+    Returns
+    -------
+    PhaseMap
+        `n_mended` counts the pixels whose word alone would have given another order.
+    """
+    phase = positive_phase(wrapped.phase)
+    valid = wrapped.rejection == 0
+    bins = np.where(valid, phase * (PHASE_BINS / TWO_PI), 0).astype(np.int32) % PHASE_BINS
+    order = np.where(valid, table.by_word[words.word, bins], NO_ORDER).astype(np.int32)
+    naive = table.naive[words.word]
+    if edges_at_wrap:
+        order = _mend_at_wrap(order, phase, table)
+    known = order != NO_ORDER
+    rejection = wrapped.rejection.copy()
+    reject(rejection, valid & ~known, Rejection.INCONSISTENT_CODE)
+    n_mended = int((known & (naive != order)).sum())
+    return phase_map(wrapped, phase, order, table.classes, rejection, n_mended=n_mended)
+
+
+def positive_phase(phase: NDArray[np.float32], /) -> NDArray[np.float32]:
+    """Map a phase of (-pi, pi] to [0, 2 pi), so that ``Phi = phase + 2 pi floor(w / period)``."""
+    moved = np.where(phase < 0, phase + np.float32(TWO_PI), phase)
+    return np.where(moved >= np.float32(TWO_PI), np.float32(0), moved).astype(np.float32)
+
+
+def phase_map(
+    wrapped: WrappedPhaseMap,
+    phase: NDArray[np.float32],
+    order: NDArray[np.int32],
+    classes: OrderClasses,
+    rejection: NDArray[np.uint16],
+    /,
+    *,
+    n_mended: int = 0,
+) -> PhaseMap:
+    """Compose a `PhaseMap`; phase and order are masked where a pixel is rejected."""
+    good = rejection == 0
+    return PhaseMap(
+        phase=np.where(good, phase, np.nan),
+        order_class=np.where(good, order, NO_ORDER),
+        class_of_order=classes.class_of_order,
+        first_order=classes.first_order,
+        phase_std=wrapped.phase_std,
+        offset=wrapped.offset,
+        modulation=wrapped.modulation,
+        rejection=rejection,
+        period_px=wrapped.period_px,
+        angle=wrapped.angle,
+        device_name=wrapped.device_name,
+        n_mended=n_mended,
+    )
+
+
+def _mend_at_wrap(
+    order: NDArray[np.int32], phase: NDArray[np.float32], table: OrderTable
+) -> NDArray[np.int32]:
+    """Correct orders within a quarter period of a wrap by the nearest safe pixel.
+
+    A bit misread at its edge gives the order across that edge: at the start of a period the one
+    before, at its end the one behind. Only these two corrections are made.
+    """
+    known = order != NO_ORDER
+    at_start, at_end = known & (phase < np.pi / 2), known & (phase > 1.5 * np.pi)
+    safe = known & ~at_start & ~at_end
+    if not safe.any():
+        return order
+    rows, cols = ndimage.distance_transform_edt(~safe, return_distances=False, return_indices=True)
+    turns = np.rint((phase[rows, cols] - np.where(known, phase, 0)) / TWO_PI).astype(np.int32)
+    after, before = _neighbour_classes(table.classes, 1), _neighbour_classes(table.classes, -1)
+    first = table.classes.first_order
+    expected = order[rows, cols]
+    expected_index = expected - first
+    expected = np.where(turns == 1, after[expected_index], expected)
+    expected = np.where(turns == -1, before[expected_index], expected)
+    inside = np.where(known, order - first, 0)
+    mended = (at_start & (expected == after[inside])) | (at_end & (expected == before[inside]))
+    return np.where(mended & (expected != NO_ORDER), expected, order).astype(np.int32)
+
+
+def _neighbour_classes(orders: OrderClasses, step: int) -> NDArray[np.int32]:
+    """Return the class of order ``k + step`` for each class, where all its members agree."""
+    classes = orders.class_of_order
+    result = np.full(len(classes), NO_ORDER, np.int32)
+    for name in np.unique(classes):
+        members = np.flatnonzero(classes == name) + step
+        members = members[(members >= 0) & (members < len(classes))]
+        if len(members) and (classes[members] == classes[members[0]]).all():
+            result[name - orders.first_order] = classes[members[0]]
+    return result
+
+
+def order_unknown(wrapped: WrappedPhaseMap, extent_px: tuple[float, float], /) -> PhaseMap:
+    """Return a phase map of which nothing is known but the wrapped phase (one class)."""
+    orders = all_orders(wrapped.period_px, extent_px)
+    first = orders.first_order
+    classes = OrderClasses(first, np.full_like(orders.class_of_order, first))
+    order = np.where(wrapped.rejection == 0, np.int32(first), np.int32(NO_ORDER))
+    return phase_map(wrapped, positive_phase(wrapped.phase), order, classes, wrapped.rejection)

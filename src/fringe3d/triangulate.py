@@ -1,0 +1,130 @@
+"""Homologous points to points in space, with an uncertainty for each."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from fringe3d.geometry import closest_depths, pixel_grid, project, rays
+from fringe3d.model import Correspondences, Device, MeasuringVolume, PointMap, Rejection
+from fringe3d.model.rejection import reject
+
+DEPTH_STEP = 1e-4
+"""Part of the depth by which a point is moved to find its speed in the other image."""
+
+MAX_SIGMA_OF_DEPTH = 0.02
+"""Part of the depth: a point less certain than 2 % of its distance is no measurement."""
+
+
+def triangulate(
+    matches: Correspondences,
+    camera: Device,
+    other: Device,
+    /,
+    *,
+    volume: MeasuringVolume | None = None,
+    max_skew_mm: float | None = None,
+) -> PointMap:
+    """Intersect the viewing rays of homologous points.
+
+    The point is the middle of the shortest line between the two rays.
+
+    Parameters
+    ----------
+    matches : Correspondences
+    camera : Device; C1
+    other : Device; the second camera, or the projector
+    volume : MeasuringVolume or None; points outside are rejected as OUTSIDE_VOLUME
+    max_skew_mm : float or None, mm; larger distances of the two rays are RAYS_MISS
+
+    Returns
+    -------
+    PointMap
+
+    Notes
+    -----
+    ``sigma = sigma_px / |d pixel / d t|``, t the distance along the viewing ray.
+    """
+    valid = matches.rejection == 0
+    origin, directions = rays(camera, pixel_grid(valid.shape)[valid])  # type: ignore[arg-type]
+    origin2, directions2 = rays(other, matches.pixels[valid])
+    t, t2 = closest_depths(origin, directions, origin2, directions2)
+    on_ray, on_other = origin + t[:, None] * directions, origin2 + t2[:, None] * directions2
+    points = (on_ray + on_other) / 2
+    skew = np.linalg.norm(on_ray - on_other, axis=-1)
+    moved = project(other, points + (DEPTH_STEP * t)[:, None] * directions)
+    speed = np.linalg.norm(moved - project(other, points), axis=-1) / (DEPTH_STEP * t)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        sigma = matches.sigma_px[valid] / speed
+
+    in_front = (t > 0) & (t2 > 0)
+    problems = [
+        (~in_front, Rejection.BEHIND_DEVICE),
+        (in_front & ~(sigma <= MAX_SIGMA_OF_DEPTH * np.abs(t)), Rejection.UNCERTAIN),
+    ]
+    if max_skew_mm is not None:
+        problems.append((skew > max_skew_mm, Rejection.RAYS_MISS))
+    if volume is not None:
+        problems.append((~volume.contains(points), Rejection.OUTSIDE_VOLUME))
+    return _point_map(matches.rejection, valid, points, sigma, skew, problems)
+
+
+def _point_map(
+    rejection: NDArray[np.uint16],
+    valid: NDArray[np.bool_],
+    points: NDArray[np.float64],
+    sigma: NDArray[np.float64],
+    skew: NDArray[np.float64],
+    problems: list[tuple[NDArray[np.bool_], Rejection]],
+) -> PointMap:
+    rejection = rejection.copy()
+    for where, reason in problems:
+        full = np.zeros(valid.shape, bool)
+        full[valid] = where
+        reject(rejection, full, reason)
+    points_map = np.full((*valid.shape, 3), np.nan)
+    sigma_map = np.full(valid.shape, np.nan, np.float32)
+    skew_map = np.full(valid.shape, np.nan, np.float32)
+    points_map[valid], sigma_map[valid], skew_map[valid] = points, sigma, skew
+    bad = rejection != 0
+    points_map[bad] = sigma_map[bad] = skew_map[bad] = np.nan
+    return PointMap(points_mm=points_map, sigma_mm=sigma_map, skew_mm=skew_map, rejection=rejection)
+
+
+def remove_isolated(points: PointMap, /, *, max_gap_mm: float, min_pixels: int) -> PointMap:
+    """Reject points that do not belong to a surface patch.
+
+    Neighbouring pixels are joined where their points are closer than `max_gap_mm`; patches of
+    fewer than `min_pixels` pixels are rejected as ISOLATED.
+
+    Parameters
+    ----------
+    points : PointMap
+    max_gap_mm : float, mm, > 0
+    min_pixels : int
+    """
+    shape = points.rejection.shape
+    index = np.arange(points.rejection.size).reshape(shape)
+    pairs = []
+    for here, there in (
+        ((slice(None), slice(None, -1)), (slice(None), slice(1, None))),
+        ((slice(None, -1), slice(None)), (slice(1, None), slice(None))),
+    ):
+        gap = np.linalg.norm(points.points_mm[here] - points.points_mm[there], axis=-1)
+        joined = gap <= max_gap_mm
+        pairs.append(np.stack([index[here][joined], index[there][joined]]))
+    start, end = np.concatenate(pairs, axis=1)
+    graph = coo_array((np.ones(len(start), bool), (start, end)), shape=(index.size, index.size))
+    _, labels = connected_components(graph, directed=False)
+    size = np.bincount(labels)[labels].reshape(shape)
+    rejection = points.rejection.copy()
+    reject(rejection, (rejection == 0) & (size < min_pixels), Rejection.ISOLATED)
+    bad = rejection != 0
+    return PointMap(
+        points_mm=np.where(bad[..., None], np.nan, points.points_mm),
+        sigma_mm=np.where(bad, np.nan, points.sigma_mm),
+        skew_mm=np.where(bad, np.nan, points.skew_mm),
+        rejection=rejection,
+    )
