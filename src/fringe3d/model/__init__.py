@@ -8,6 +8,7 @@ from fringe3d.model.plan import Fringe, GrayBit, Pattern, PatternPlan, Uniform, 
 from fringe3d.model.pose import RigidTransform
 from fringe3d.model.rejection import Rejection
 from fringe3d.model.rig import Rig
+from fringe3d.model.scan import Scan
 from fringe3d.model.stack import ImageStack, NoiseModel
 from fringe3d.model.volume import MeasuringVolume
 
@@ -28,6 +29,7 @@ __all__ = [
     "Rejection",
     "Rig",
     "RigidTransform",
+    "Scan",
     "Uniform",
     "Unused",
     "WrappedPhaseMap",

@@ -1,0 +1,1 @@
+"""Files: scans, rigs, images and results."""

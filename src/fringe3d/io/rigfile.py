@@ -1,0 +1,221 @@
+"""``rig.toml``: the calibration of a rig."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+import tomlkit
+from pydantic import Field
+
+from fringe3d.errors import RigError
+from fringe3d.io.toml import StrictModel, read_toml
+from fringe3d.model import Device, MeasuringVolume, Rig, RigidTransform
+
+Vector2 = tuple[float, float]
+Vector3 = tuple[float, float, float]
+
+FORMAT = "fringe3d-rig/1"
+
+
+class DeviceTable(StrictModel):
+    """One ``[[devices]]`` entry; `rotation` and `translation_mm` are ``device_from_world``."""
+
+    name: str
+    role: Literal["camera", "projector"]
+    size: tuple[int, int]
+    focal_px: Vector2
+    center_px: Vector2
+    distortion: list[float] = []
+    rotation: tuple[Vector3, Vector3, Vector3] = ((1, 0, 0), (0, 1, 0), (0, 0, 1))
+    translation_mm: Vector3 = (0, 0, 0)
+
+    def device(self) -> Device:
+        """Return the device."""
+        try:
+            pose = RigidTransform(rotation=self.rotation, translation=self.translation_mm)
+        except ValueError as problem:
+            raise ValueError(f"device '{self.name}': {problem}") from None
+        width, height = self.size
+        return Device(
+            name=self.name,
+            role=self.role,
+            n_rows=height,
+            n_cols=width,
+            focal_px=self.focal_px,
+            center_px=self.center_px,
+            distortion=self.distortion,
+            device_from_world=pose,
+        )
+
+
+class BoxTable(StrictModel):
+    """An axis-parallel box of the world frame."""
+
+    kind: Literal["box"]
+    min_mm: Vector3
+    max_mm: Vector3
+
+
+class CylinderTable(StrictModel):
+    """A cylinder."""
+
+    kind: Literal["cylinder"]
+    center_mm: Vector3
+    axis: Vector3
+    radius_mm: float
+    height_mm: float
+
+
+class SlabTable(StrictModel):
+    """The depths between two distances along the principal ray of a device."""
+
+    kind: Literal["depth_slab"]
+    device: str
+    depth_min_mm: float
+    depth_max_mm: float
+
+
+class HalfSpacesTable(StrictModel):
+    """Any convex volume: ``normals @ point <= offsets_mm``."""
+
+    kind: Literal["half_spaces"]
+    normals: list[Vector3]
+    offsets_mm: list[float]
+
+
+VolumeTable = Annotated[
+    BoxTable | CylinderTable | SlabTable | HalfSpacesTable, Field(discriminator="kind")
+]
+
+
+class RigTable(StrictModel):
+    """The whole file."""
+
+    format: Literal["fringe3d-rig/1"]
+    provenance: str = ""
+    devices: list[DeviceTable]
+    volume: VolumeTable | None = None
+
+
+def read_rig(path: Path, /) -> Rig:
+    """Read a rig.
+
+    Raises
+    ------
+    RigError
+        Where, what was expected, what was found.
+    """
+    table = read_toml(path, RigTable, RigError)
+    try:
+        devices = [entry.device() for entry in table.devices]
+        projectors = [device for device in devices if device.role == "projector"]
+        if len(projectors) > 1:
+            raise ValueError(f"rig: expected at most one projector, found {len(projectors)}")
+        rig = Rig(
+            cameras=tuple(device for device in devices if device.role == "camera"),
+            projector=projectors[0] if projectors else None,
+            volume=_volume(table.volume, devices),
+            provenance=table.provenance,
+        )
+        _require_visible(rig)
+    except ValueError as problem:
+        raise RigError(f"{path}: {problem}. Correct the file") from None
+    return rig
+
+
+def _volume(
+    table: BoxTable | CylinderTable | SlabTable | HalfSpacesTable | None, devices: list[Device]
+) -> MeasuringVolume | None:
+    match table:
+        case None:
+            return None
+        case BoxTable():
+            return MeasuringVolume.box(table.min_mm, table.max_mm)
+        case CylinderTable():
+            return MeasuringVolume.cylinder(
+                table.center_mm, table.axis, radius_mm=table.radius_mm, height_mm=table.height_mm
+            )
+        case HalfSpacesTable():
+            return MeasuringVolume(normals=table.normals, offsets_mm=table.offsets_mm)
+        case SlabTable():
+            named = {device.name: device for device in devices}
+            if table.device not in named:
+                raise ValueError(
+                    f"volume: expected one of the devices {sorted(named)}, found '{table.device}'"
+                )
+            return MeasuringVolume.depth_slab(
+                named[table.device],
+                depth_min_mm=table.depth_min_mm,
+                depth_max_mm=table.depth_max_mm,
+            )
+
+
+def _require_visible(rig: Rig) -> None:
+    """Refuse a volume that lies behind a device."""
+    if rig.volume is None:
+        return
+    for device in rig.devices:
+        forward, offset = (
+            device.device_from_world.rotation[2],
+            device.device_from_world.translation[2],
+        )
+        if _highest(rig.volume, forward) + offset <= 0:
+            raise ValueError(
+                f"volume: expected it in front of device '{device.name}', found it wholly behind "
+                "(is the rotation inverted, or the volume in another frame?)"
+            )
+
+
+def _highest(volume: MeasuringVolume, direction: np.ndarray) -> float:
+    """Return the largest ``direction @ point`` over a volume; infinite where it is open."""
+    from scipy.optimize import linprog
+
+    result = linprog(-direction, A_ub=volume.normals, b_ub=volume.offsets_mm,
+                     bounds=(None, None))  # fmt: skip
+    if result.status == 2:
+        raise ValueError("volume: expected some points inside, found none (it is empty)")
+    return float(-result.fun) if result.status == 0 else float("inf")
+
+
+def rig_text(rig: Rig, /) -> str:
+    """Return the text of the rig file that `read_rig` reads back."""
+    document = tomlkit.document()
+    document.add(tomlkit.comment("Lengths in mm, pixels with (0, 0) at the centre of the first."))
+    document.add(tomlkit.comment("rotation, translation_mm: X_device = R X_world + T"))
+    document["format"] = FORMAT
+    if rig.provenance:
+        document["provenance"] = rig.provenance
+    devices = tomlkit.aot()
+    for device in rig.devices:
+        table = tomlkit.table()
+        table["name"] = device.name
+        table["role"] = device.role
+        table["size"] = [device.n_cols, device.n_rows]
+        table["focal_px"] = device.focal_px.tolist()
+        table["center_px"] = device.center_px.tolist()
+        table["distortion"] = _trimmed(device)
+        rotation = tomlkit.array()
+        rotation.extend(device.device_from_world.rotation.tolist())
+        table["rotation"] = rotation.multiline(True)
+        table["translation_mm"] = device.device_from_world.translation.tolist()
+        devices.append(table)
+    document["devices"] = devices
+    if rig.volume is not None:
+        volume = tomlkit.table()
+        volume["kind"] = "half_spaces"
+        normals = tomlkit.array()
+        normals.extend(rig.volume.normals.tolist())
+        volume["normals"] = normals.multiline(True)
+        volume["offsets_mm"] = rig.volume.offsets_mm.tolist()
+        document["volume"] = volume
+    return tomlkit.dumps(document)
+
+
+def _trimmed(device: Device) -> list[float]:
+    """Return the distortion without the zeros at its end, in a length that OpenCV knows."""
+    used = int(np.flatnonzero(device.distortion).max(initial=-1)) + 1
+    length = next(n for n in (0, 4, 5, 8, 12, 14) if n >= used)
+    coefficients: list[float] = device.distortion[:length].tolist()
+    return coefficients

@@ -1,0 +1,359 @@
+"""``scan.toml`` and ``plan.toml``: what was projected, and where the images are."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import tomlkit
+from pydantic import Field, PositiveFloat, PositiveInt, model_validator
+
+from fringe3d.errors import PlanError
+from fringe3d.io.images import Channel
+from fringe3d.io.toml import StrictModel, read_toml
+from fringe3d.model import Fringe, GrayBit, NoiseModel, Pattern, PatternPlan, Uniform, Unused
+
+FORMAT = "fringe3d-scan/1"
+
+
+class _Striped(StrictModel):
+    """Common keys of patterns with a direction."""
+
+    direction: Literal["x", "y"] = "x"
+    angle_deg: float | None = None
+
+    @property
+    def angle(self) -> float:
+        """Return the angle of the stripes, rad."""
+        if self.angle_deg is not None:
+            return math.radians(self.angle_deg)
+        return 0.0 if self.direction == "x" else math.pi / 2
+
+
+class FringesTable(_Striped):
+    """Phase-shifted fringes, in the convention of the software that projected them.
+
+    It computed, for its coordinate x of a pixel, ``A + B cos(2 pi x / period_px + phase_offset
+    - shift_direction * 2 pi n / n_shifts)``, where x of the first column (row) is
+    `first_coordinate`.
+    """
+
+    kind: Literal["fringes"]
+    period_px: PositiveFloat
+    n_shifts: Annotated[int, Field(ge=3)] | None = None
+    shifts_deg: list[float] | None = None
+    shift_direction: Literal[1, -1] = 1
+    phase_offset_deg: float = 0.0
+    first_coordinate: float = 0.5
+
+    @model_validator(mode="after")
+    def _one_kind_of_steps(self) -> FringesTable:
+        if (self.n_shifts is None) == (self.shifts_deg is None):
+            raise ValueError("expected either n_shifts (equal steps) or shifts_deg, not both")
+        return self
+
+    def patterns(self) -> list[Pattern]:
+        """Return the fringe images in our convention: everything goes into the shift."""
+        if self.shifts_deg is not None:
+            steps = [math.radians(step) for step in self.shifts_deg]
+        else:
+            steps = [2 * math.pi * n / (self.n_shifts or 1) for n in range(self.n_shifts or 0)]
+        # x = w - 1/2 + first_coordinate, for w = u + 1/2.
+        axis = math.cos(self.angle) + math.sin(self.angle)
+        origin = 2 * math.pi * (self.first_coordinate - 0.5) * axis / self.period_px
+        offset = math.radians(self.phase_offset_deg) + origin
+        return [
+            Fringe(
+                period_px=self.period_px,
+                shift=self.shift_direction * step - offset,
+                angle=self.angle,
+            )
+            for step in steps
+        ]
+
+
+class GrayTable(_Striped):
+    """Gray-code images.
+
+    Cells are counted from the projector's edge, the first one being `first_cell`. `bits` names
+    the recorded bits where not all of them follow in the order of significance (0 is finest).
+    """
+
+    kind: Literal["gray"]
+    cell_px: PositiveFloat
+    n_bits: PositiveInt
+    bits: list[int] | None = None
+    order: Literal["msb-first", "lsb-first"] = "msb-first"
+    inverses: Literal["none", "interleaved", "after", "only"] = "none"
+    bright_is: Literal[0, 1] = 1
+    first_cell: int = 0
+
+    def patterns(self) -> list[Pattern]:
+        """Return the images of the code in the recorded order."""
+        bits = list(range(self.n_bits)) if self.bits is None else self.bits
+        if self.bits is None and self.order == "msb-first":
+            bits = bits[::-1]
+        plain, inverse = self.bright_is == 0, self.bright_is == 1
+        recorded = {
+            "none": [(bit, plain) for bit in bits],
+            "only": [(bit, inverse) for bit in bits],
+            "interleaved": [(bit, flip) for bit in bits for flip in (plain, inverse)],
+            "after": [(bit, plain) for bit in bits] + [(bit, inverse) for bit in bits],
+        }[self.inverses]
+        return [
+            GrayBit(
+                bit=bit,
+                n_bits=self.n_bits,
+                cell_px=self.cell_px,
+                angle=self.angle,
+                inverted=inverted,
+                first_cell=self.first_cell,
+            )
+            for bit, inverted in recorded
+        ]
+
+
+class LightTable(StrictModel):
+    """An image of full light."""
+
+    kind: Literal["light"]
+
+    def patterns(self) -> list[Pattern]:
+        """Return the image."""
+        return [Uniform(level=1.0)]
+
+
+class DarkTable(StrictModel):
+    """An image without light from the projector."""
+
+    kind: Literal["dark"]
+
+    def patterns(self) -> list[Pattern]:
+        """Return the image."""
+        return [Uniform(level=0.0)]
+
+
+class UnusedTable(StrictModel):
+    """Images that no method needs."""
+
+    kind: Literal["unused"]
+    count: PositiveInt = 1
+
+    def patterns(self) -> list[Pattern]:
+        """Return the images."""
+        return [Unused()] * self.count
+
+
+SequenceTable = Annotated[
+    FringesTable | GrayTable | LightTable | DarkTable | UnusedTable, Field(discriminator="kind")
+]
+
+
+class CameraTable(StrictModel):
+    """One camera: its name in the rig and the files of its images.
+
+    ``images`` is a path with ``{index}`` (or ``{index:02d}``) for the number of the image and
+    ``*`` for anything; or `files` lists the files one by one.
+    """
+
+    name: str
+    images: str | None = None
+    files: list[str] | None = None
+    first_index: int = 0
+    channel: Channel = "grey"
+
+    @model_validator(mode="after")
+    def _one_kind_of_files(self) -> CameraTable:
+        if (self.images is None) == (self.files is None):
+            raise ValueError("expected either images (a pattern) or files (a list), not both")
+        if self.images is not None:
+            try:
+                differs = self.images.format(index=0) != self.images.format(index=1)
+            except (KeyError, ValueError, IndexError):
+                differs = False
+            if not differs:
+                raise ValueError("images: expected a path with {index} or {index:02d} in it")
+        return self
+
+
+class NoiseTable(StrictModel):
+    """Noise of a grey value: ``read_noise_dn**2 + gain_dn_per_e * signal``."""
+
+    read_noise_dn: float = Field(ge=0)
+    gain_dn_per_e: float = Field(default=0.0, ge=0)
+
+    def model(self) -> NoiseModel:
+        """Return the noise model."""
+        return NoiseModel(read_noise_dn=self.read_noise_dn, gain_dn_per_e=self.gain_dn_per_e)
+
+
+class PlanTable(StrictModel):
+    """``plan.toml``: the sequence alone."""
+
+    format: Literal["fringe3d-scan/1"]
+    title: str = ""
+    projector_size: tuple[PositiveInt, PositiveInt] | None = None
+    sequence: Annotated[list[SequenceTable], Field(min_length=1)]
+
+    def plan(self) -> PatternPlan:
+        """Return the plan."""
+        shape = self.projector_size[::-1] if self.projector_size else None
+        return PatternPlan(
+            patterns=tuple(p for table in self.sequence for p in table.patterns()),
+            projector_shape=shape,
+        )
+
+
+class ScanTable(PlanTable):
+    """``scan.toml``: the sequence and the images."""
+
+    rig: str | None = None
+    folder: str = ""
+    bit_depth: Annotated[int, Field(ge=8, le=16)] = 8
+    black_level_dn: Annotated[float, Field(ge=0)] = 0.0
+    saturation_dn: PositiveFloat | None = None
+    exposure_ms: PositiveFloat | None = None
+    extra_images: Literal["error", "ignore"] = "error"
+    image_indices: list[int] | None = None
+    noise: NoiseTable | None = None
+    cameras: Annotated[list[CameraTable], Field(min_length=1)]
+
+
+def read_scan_table(path: Path, /) -> ScanTable:
+    """Read and check a scan file."""
+    table = read_toml(path, ScanTable, PlanError)
+    _require_plan(path, table)
+    n_images = table.plan().n_images
+    if table.image_indices is not None and len(table.image_indices) != n_images:
+        raise PlanError(
+            f"{path}: image_indices: expected {n_images} numbers, one for each pattern of the "
+            f"sequence, found {len(table.image_indices)}"
+        )
+    for camera in table.cameras:
+        if camera.files is not None and len(camera.files) != n_images:
+            raise PlanError(
+                f"{path}: camera '{camera.name}': the sequence lists {n_images} patterns, but "
+                f"files lists {len(camera.files)}. Correct one of them"
+            )
+    names = [camera.name for camera in table.cameras]
+    if len(set(names)) < len(names):
+        raise PlanError(f"{path}: cameras: expected different names, found {names}")
+    return table
+
+
+def read_plan(path: Path, /) -> PatternPlan:
+    """Read ``plan.toml`` (or the plan of a scan file)."""
+    text = path.read_text(encoding="utf-8") if path.is_file() else ""
+    if "[[cameras]]" in text:
+        return read_scan_table(path).plan()
+    table = read_toml(path, PlanTable, PlanError)
+    _require_plan(path, table)
+    return table.plan()
+
+
+def _require_plan(path: Path, table: PlanTable) -> None:
+    try:
+        table.plan()
+    except ValueError as problem:
+        raise PlanError(f"{path}: {problem}") from None
+
+
+def plan_text(plan: PatternPlan, /, *, title: str = "") -> str:
+    """Return the text of the plan file that `read_plan` reads back."""
+    table = PlanTable(
+        format=FORMAT,
+        title=title,
+        projector_size=plan.projector_shape[::-1] if plan.projector_shape else None,
+        sequence=sequence_tables(plan),
+    )
+    return toml_text(table)
+
+
+def toml_text(table: PlanTable, /) -> str:
+    """Return a scan or plan table as TOML; defaults are left out."""
+    return tomlkit.dumps(table.model_dump(exclude_defaults=True, exclude_none=True))
+
+
+def sequence_tables(plan: PatternPlan, /) -> list[SequenceTable]:
+    """Describe a plan by as few ``[[sequence]]`` entries as there are sets of images."""
+    return [_table(list(run)) for _, run in itertools.groupby(plan.patterns, key=_belongs_to)]
+
+
+def _belongs_to(pattern: Pattern) -> tuple[object, ...]:
+    match pattern:
+        case Fringe():
+            return "fringes", pattern.period_px, pattern.angle
+        case GrayBit():
+            return "gray", pattern.cell_px, pattern.angle, pattern.n_bits, pattern.first_cell
+        case Uniform():
+            return "uniform", pattern.level
+        case _:
+            return ("unused",)
+
+
+def _table(run: list[Pattern]) -> SequenceTable:
+    """Return the first description that yields the run again."""
+    candidates: list[SequenceTable]
+    match run[0]:
+        case Fringe() as first:
+            candidates = _fringe_tables(first, [p.shift for p in run if isinstance(p, Fringe)])
+        case GrayBit() as first:
+            candidates = _gray_tables(first, [p for p in run if isinstance(p, GrayBit)])
+        case Uniform(level=level):
+            candidates = [LightTable(kind="light") if level else DarkTable(kind="dark")]
+        case _:
+            candidates = [UnusedTable(kind="unused", count=len(run))]
+    return next(table for table in candidates if _same(table.patterns(), run))
+
+
+def _fringe_tables(first: Fringe, shifts: list[float]) -> list[SequenceTable]:
+    common = FringesTable(
+        kind="fringes",
+        period_px=first.period_px,
+        shifts_deg=[math.degrees(shift) for shift in shifts],
+        **_direction(first.angle),
+    )
+    if len(shifts) < 3:
+        return [common]
+    equal = {"shifts_deg": None, "n_shifts": len(shifts)}
+    return [
+        common.model_copy(update=equal),
+        common.model_copy(update=equal | {"shift_direction": -1}),
+        common,
+    ]
+
+
+def _gray_tables(first: GrayBit, run: list[GrayBit]) -> list[SequenceTable]:
+    bits = list(dict.fromkeys(pattern.bit for pattern in run))
+    common = GrayTable(
+        kind="gray",
+        cell_px=first.cell_px,
+        n_bits=first.n_bits,
+        first_cell=first.first_cell,
+        bits=None if bits == list(range(first.n_bits))[::-1] else bits,
+        **_direction(first.angle),
+    )
+    return [
+        common.model_copy(update={"inverses": inverses, "bright_is": bright_is})
+        for bright_is in (1, 0)
+        for inverses in ("none", "interleaved", "after")
+    ]
+
+
+def _direction(angle: float) -> dict[str, Any]:
+    if angle in (0.0, math.pi / 2):
+        return {"direction": "y" if angle else "x"}
+    return {"angle_deg": math.degrees(angle)}
+
+
+def _same(a: list[Pattern], b: list[Pattern]) -> bool:
+    """Tell whether two runs are the same, up to the rounding of degrees."""
+
+    def key(pattern: Pattern) -> tuple[object, ...]:
+        shift = round(pattern.shift, 9) if isinstance(pattern, Fringe) else 0.0
+        return (*_belongs_to(pattern)[:2], shift,
+                getattr(pattern, "bit", None), getattr(pattern, "inverted", None))  # fmt: skip
+
+    return [key(p) for p in a] == [key(p) for p in b]
