@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
@@ -25,7 +26,7 @@ def triangulate(
     /,
     *,
     volume: MeasuringVolume | None = None,
-    max_skew_mm: float | None = None,
+    max_epipolar_px: float | None = None,
 ) -> PointMap:
     """Intersect the viewing rays of homologous points.
 
@@ -37,7 +38,8 @@ def triangulate(
     camera : Device; C1
     other : Device; the second camera, or the projector
     volume : MeasuringVolume or None; points outside are rejected as OUTSIDE_VOLUME
-    max_skew_mm : float or None, mm; larger distances of the two rays are RAYS_MISS
+    max_epipolar_px : float or None, px; larger distances of the point in the other device from
+        the epipolar curve are rejected as RAYS_MISS
 
     Returns
     -------
@@ -64,8 +66,9 @@ def triangulate(
         (~in_front, Rejection.BEHIND_DEVICE),
         (in_front & ~(sigma <= MAX_SIGMA_OF_DEPTH * np.abs(t)), Rejection.UNCERTAIN),
     ]
-    if max_skew_mm is not None:
-        problems.append((skew > max_skew_mm, Rejection.RAYS_MISS))
+    if max_epipolar_px is not None:
+        apart = np.abs(matches.epipolar_residual_px[valid]) > max_epipolar_px
+        problems.append((apart, Rejection.RAYS_MISS))
     if volume is not None:
         problems.append((~volume.contains(points), Rejection.OUTSIDE_VOLUME))
     return _point_map(matches.rejection, valid, points, sigma, skew, problems)
@@ -108,10 +111,7 @@ def remove_isolated(points: PointMap, /, *, max_gap_mm: float, min_pixels: int) 
     shape = points.rejection.shape
     index = np.arange(points.rejection.size).reshape(shape)
     pairs = []
-    for here, there in (
-        ((slice(None), slice(None, -1)), (slice(None), slice(1, None))),
-        ((slice(None, -1), slice(None)), (slice(1, None), slice(None))),
-    ):
+    for here, there in _NEIGHBOURS:
         gap = np.linalg.norm(points.points_mm[here] - points.points_mm[there], axis=-1)
         joined = gap <= max_gap_mm
         pairs.append(np.stack([index[here][joined], index[there][joined]]))
@@ -119,8 +119,45 @@ def remove_isolated(points: PointMap, /, *, max_gap_mm: float, min_pixels: int) 
     graph = coo_array((np.ones(len(start), bool), (start, end)), shape=(index.size, index.size))
     _, labels = connected_components(graph, directed=False)
     size = np.bincount(labels)[labels].reshape(shape)
+    return _without(points, size < min_pixels, Rejection.ISOLATED)
+
+
+def remove_edges(points: PointMap, /, *, max_gap_mm: float) -> PointMap:
+    """Reject points with a missing or far neighbour (8 around) as EDGE.
+
+    Parameters
+    ----------
+    points : PointMap
+    max_gap_mm : float, mm, > 0
+    """
+    joined = np.ones(points.rejection.shape, bool)
+    for here, there in _NEIGHBOURS:
+        gap = np.linalg.norm(points.points_mm[here] - points.points_mm[there], axis=-1)
+        far = ~(gap <= max_gap_mm)
+        joined[here] &= ~far
+        joined[there] &= ~far
+    inner = ndimage.binary_erosion(joined, np.ones((3, 3), bool))
+    return _without(points, ~inner, Rejection.EDGE)
+
+
+def typical_gap_mm(points: PointMap, /) -> float:
+    """Return the median distance between points of neighbouring pixels, mm; NaN without any."""
+    here, there = _NEIGHBOURS[0]
+    gaps = np.linalg.norm(points.points_mm[here] - points.points_mm[there], axis=-1)
+    gaps = gaps[np.isfinite(gaps)]
+    return float(np.median(gaps)) if len(gaps) else float("nan")
+
+
+_NEIGHBOURS = (
+    ((slice(None), slice(None, -1)), (slice(None), slice(1, None))),
+    ((slice(None, -1), slice(None)), (slice(1, None), slice(None))),
+)
+"""Pairs of index ranges: each pixel with its right, and with its lower neighbour."""
+
+
+def _without(points: PointMap, where: NDArray[np.bool_], reason: Rejection) -> PointMap:
     rejection = points.rejection.copy()
-    reject(rejection, (rejection == 0) & (size < min_pixels), Rejection.ISOLATED)
+    reject(rejection, (rejection == 0) & where, reason)
     bad = rejection != 0
     return PointMap(
         points_mm=np.where(bad[..., None], np.nan, points.points_mm),

@@ -42,7 +42,7 @@ def _difference(x, y, phi1, order1, phase2, order2):  # type: ignore[no-untyped-
     missing one is continued from the other three. NaN where fewer are valid.
     """
     n_rows, n_cols = phase2.shape
-    col, row = int(math.floor(x)), int(math.floor(y))
+    col, row = math.floor(x), math.floor(y)
     if col < 0 or row < 0 or col > n_cols - 2 or row > n_rows - 2:
         return np.nan, False
     a, b = phase2[row, col], phase2[row, col + 1]

@@ -203,7 +203,7 @@ def _from_two_directions(
     sigma_w = np.stack([m.phase_std[valid] * m.period_px / TWO_PI for m in (a, b)], axis=-1)
 
     origin, directions = rays(camera, pixel_grid(valid.shape)[valid])  # type: ignore[arg-type]
-    base, tangent = _epipolar_line_at(camera, projector, origin, directions, pixels)
+    base, tangent = _epipolar_line_at(projector, origin, directions, pixels)
     away = pixels - base
     residual = tangent[:, 0] * away[:, 1] - tangent[:, 1] * away[:, 0]
     # Along the curve the two coordinates weigh as the curve crosses them.
@@ -217,7 +217,6 @@ def _from_two_directions(
 
 
 def _epipolar_line_at(
-    camera: Device,
     projector: Device,
     origin: NDArray[np.float64],
     directions: NDArray[np.float64],

@@ -124,7 +124,7 @@ def _orders_by_code(
     any_fringes: WrappedPhaseMap,
     extent: tuple[float, float],
 ) -> PhaseMap:
-    """Number the periods of the fringes that the code suits best."""
+    """Find the fringe orders of the period that the code suits best."""
     mean_dn = any_fringes.offset + np.float32(stack.black_level_dn)
     words = code_words(stack, code, mean_dn=mean_dn)
     tables = [order_table(code, m.period_px, extent) for m in maps]

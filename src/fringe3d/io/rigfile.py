@@ -27,7 +27,7 @@ class DeviceTable(StrictModel):
     size: tuple[int, int]
     focal_px: Vector2
     center_px: Vector2
-    distortion: list[float] = []
+    distortion: list[float] = Field(default_factory=list)
     rotation: tuple[Vector3, Vector3, Vector3] = ((1, 0, 0), (0, 1, 0), (0, 0, 1))
     translation_mm: Vector3 = (0, 0, 0)
 

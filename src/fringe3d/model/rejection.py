@@ -26,6 +26,7 @@ class Rejection(IntFlag):
     OUTSIDE_VOLUME = 1 << 9
     UNCERTAIN = 1 << 10
     ISOLATED = 1 << 11
+    EDGE = 1 << 12
 
     @property
     def meaning(self) -> str:
@@ -46,6 +47,7 @@ _MEANINGS = {
     Rejection.OUTSIDE_VOLUME: "the point lies outside the measuring volume",
     Rejection.UNCERTAIN: "the rays meet at so flat an angle that the point means nothing",
     Rejection.ISOLATED: "the point has no neighbours on its surface",
+    Rejection.EDGE: "next to a depth edge, where light of two surfaces mixes (strict only)",
 }
 
 

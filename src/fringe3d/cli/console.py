@@ -1,0 +1,67 @@
+"""Progress, messages and exit codes."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
+
+
+class Reporter:
+    """Progress bars on standard error, results on standard output."""
+
+    def __init__(self, *, quiet: bool) -> None:
+        self.console = Console(stderr=True, highlight=False)
+        self._progress = Progress(
+            TextColumn("{task.description:<26}"),
+            BarColumn(),
+            TextColumn("{task.completed}/{task.total}"),
+            TimeRemainingColumn(),
+            console=self.console,
+            transient=True,
+            disable=quiet or not self.console.is_terminal,
+        )
+        self._tasks: dict[str, TaskID] = {}
+        self._stages = 0
+
+    @contextmanager
+    def running(self) -> Iterator[Reporter]:
+        """Show the bars while the block runs."""
+        with self._progress:
+            yield self
+
+    def step(self, work: str, done: int, total: int) -> None:
+        """Tell how far a work is."""
+        if work not in self._tasks:
+            self._tasks[work] = self._progress.add_task(work, total=total)
+        self._progress.update(self._tasks[work], completed=done, total=total)
+
+    def stage(self, name: str, *, of: int = 5) -> None:
+        """Tell which stage of a measurement begins."""
+        self.step("measuring", self._stages, of)
+        self._progress.update(self._tasks["measuring"], description=name)
+        self._stages += 1
+
+    def warn(self, text: str) -> None:
+        """Print a warning."""
+        self.console.print(f"[yellow]warning:[/] {_plain(text)}", soft_wrap=True)
+
+
+def _plain(text: str) -> str:
+    """Escape what rich would take for mark-up."""
+    return text.replace("[", r"\[")
+
+
+def say(text: str, record: dict[str, Any] | None = None, *, as_json: bool = False) -> None:
+    """Print the one-line result, or the record as JSON."""
+    print(json.dumps(record, default=str) if as_json else text, file=sys.stdout)  # noqa: T201
+
+
+def fail(text: str) -> None:
+    """Print an error."""
+    Console(stderr=True, highlight=False).print(f"[red]error:[/] {_plain(text)}", soft_wrap=True)

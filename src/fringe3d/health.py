@@ -1,0 +1,289 @@
+"""Check that the images agree with the calibration and with each other."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from fringe3d.decode import CameraPhases, DirectionPhases
+from fringe3d.geometry import epipolar_curve, pixel_grid
+from fringe3d.model import Correspondences, Device, PhaseMap, PointMap, Rejection
+
+TWO_PI = 2 * np.pi
+
+EPIPOLAR_WARNING_PX, EPIPOLAR_ERROR_PX = 0.5, 3.0
+"""Good rigs stay below 0.3 px; 3 px is no calibration of these images."""
+
+TEXTURE_SHIFTS_PX = 80
+TEXTURE_MIN_PEAK = 0.25
+TEXTURE_MAX_SHIFT_PX = 3.0
+TEXTURE_CLEAR = 0.15
+"""The peak of the texture correlation must stand out this far to accuse the calibration."""
+
+LOST_WARNING, LOST_ERROR = 0.3, 0.8
+"""Part of the decoded pixels for which the geometry finds no point."""
+
+GAMMA_DISAGREEMENT_PX = 0.3
+GAMMA_EXPLAINED = 0.4
+HARMONIC_WARNING = 0.05
+SAMPLE = 40_000
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One result of a check, in words, with its figure.
+
+    Parameters
+    ----------
+    level : "ok", "warning" or "error"
+    name : str; key of the figure, with its unit
+    value : float
+    text : str; what was found and what to do
+    """
+
+    level: Literal["ok", "warning", "error"]
+    name: str
+    value: float
+    text: str
+
+
+def check_phases(cameras: Sequence[CameraPhases], /) -> list[Finding]:
+    """Compare periods with each other, and look for harmonics."""
+    findings: list[Finding] = []
+    for camera in cameras:
+        for direction in camera.directions:
+            findings += [_period_finding(direction, other) for other in direction.others]
+            findings += _harmonic_findings(direction)
+    return findings
+
+
+def period_disagreement(a: PhaseMap, b: PhaseMap, /) -> NDArray[np.float64]:
+    """Return w of `a` minus w of `b`, (row, col), projector px; NaN where either is missing."""
+    return a.position_px - b.position_px
+
+
+def explained_by_nonlinearity(a: PhaseMap, b: PhaseMap, n_shifts: int, /) -> float:
+    """Return how much of the disagreement of two periods repeats with their phases, 0 to 1.
+
+    A nonlinear response (gamma) leaves a phase error with N waves per period for N steps; two
+    periods then disagree by a function of their two phases. The share is the R**2 of a fit of
+    sines and cosines of N times each phase.
+    """
+    difference = period_disagreement(a, b)
+    good = np.flatnonzero(np.isfinite(difference))
+    if len(good) < 100:
+        return 0.0
+    good = good[:: max(1, len(good) // SAMPLE)]
+    d = difference.ravel()[good]
+    d = np.clip(d - np.median(d), *np.percentile(d - np.median(d), [1, 99]))
+    waves = [n_shifts * m.phase.ravel()[good].astype(np.float64) for m in (a, b)]
+    model = np.stack([np.ones_like(d), *(f(x) for x in waves for f in (np.cos, np.sin))], axis=1)
+    coefficients, *_ = np.linalg.lstsq(model, d, rcond=None)
+    return float(1 - ((d - model @ coefficients) ** 2).sum() / ((d - d.mean()) ** 2).sum())
+
+
+def _period_finding(direction: DirectionPhases, other: PhaseMap) -> Finding:
+    main = direction.main
+    difference = period_disagreement(main, other)
+    finite = difference[np.isfinite(difference)]
+    where = f"camera '{main.device_name}', {axis_name(main.angle)}"
+    name = f"{main.device_name}_{axis_name(main.angle)}_period_disagreement_px"
+    if not len(finite):
+        return Finding("warning", name, float("nan"), f"{where}: no pixel has both periods")
+    low, high = np.percentile(finite, [2.5, 97.5])
+    spread = float(high - low) / 2
+    noise = 2 * np.hypot(_sigma_px(main), _sigma_px(other))
+    pair = f"{main.period_px:g} and {other.period_px:g} px"
+    if spread <= max(GAMMA_DISAGREEMENT_PX, 3 * noise):
+        return Finding("ok", name, spread, f"{where}: periods {pair} agree to {spread:.2f} px")
+    n_shifts = min(m.n_shifts for m in direction.wrapped)
+    share = explained_by_nonlinearity(main, other, n_shifts)
+    said = f"{where}: the periods {pair} disagree by up to {spread:.1f} px (95 % of the pixels)"
+    if share >= GAMMA_EXPLAINED:
+        cure = (
+            f"{share:.0%} of it repeats {n_shifts} times per period: the gamma (nonlinearity) of "
+            "projector or camera is not corrected. Linearise the projector, or use more steps"
+        )
+    else:
+        cure = (
+            "it does not look like gamma: check the periods in the sequence, the order of the "
+            "images, and whether anything moved"
+        )
+    return Finding("warning", name, spread, f"{said}; {cure}")
+
+
+def _harmonic_findings(direction: DirectionPhases) -> list[Finding]:
+    findings = []
+    for wrapped in direction.wrapped:
+        ratio = wrapped.harmonic_ratio
+        if not np.isfinite(ratio):
+            continue
+        name = f"{wrapped.device_name}_{axis_name(wrapped.angle)}_{wrapped.period_px:g}px_harmonic"
+        text = (
+            f"camera '{wrapped.device_name}', {axis_name(wrapped.angle)}: second harmonic "
+            f"{ratio:.1%} of the fringe of {wrapped.period_px:g} px"
+        )
+        if ratio > HARMONIC_WARNING:
+            text += (
+                "; the gamma of projector or camera is not corrected. Harmless for "
+                f"{wrapped.n_shifts} steps, but not when measuring with 3"
+            )
+        level: Literal["ok", "warning"] = "warning" if ratio > HARMONIC_WARNING else "ok"
+        findings.append(Finding(level, name, ratio, text))
+    return findings
+
+
+def _sigma_px(phases: PhaseMap) -> float:
+    good = phases.rejection == 0
+    return float(np.median(phases.phase_std[good])) * phases.period_px / TWO_PI
+
+
+def axis_name(angle: float, /) -> str:
+    """Return "x", "y" or the angle in degrees, for messages and keys."""
+    return {0.0: "x", np.pi / 2: "y"}.get(angle, f"{np.degrees(angle):g}deg")
+
+
+def check_epipolar(matches: Correspondences, /) -> list[Finding]:
+    """Judge the distance of decoded projector points from their epipolar curves."""
+    residual = matches.epipolar_residual_px
+    residual = residual[np.isfinite(residual)]
+    if not len(residual):
+        return []
+    typical = float(np.median(np.abs(residual)))
+    text = (
+        f"epipolar residual in '{matches.device_name}': median |r| {typical:.3f} px, "
+        f"median r {float(np.median(residual)):+.3f} px"
+    )
+    name = "epipolar_residual_px"
+    if typical > EPIPOLAR_ERROR_PX:
+        return [Finding("error", name, typical, f"{text}; the calibration does not belong to "
+                        "these images. Check the rig file (another set? R inverted? rows and "
+                        "columns exchanged?)")]  # fmt: skip
+    if typical > EPIPOLAR_WARNING_PX:
+        return [Finding("warning", name, typical,
+                        f"{text}; good rigs stay below 0.3 px. Calibrate again")]  # fmt: skip
+    return [Finding("ok", name, typical, text)]
+
+
+def check_yield(points: PointMap, /) -> list[Finding]:
+    """Judge how many of the decoded pixels the geometry could place."""
+    undecoded = Rejection.SATURATED | Rejection.LOW_MODULATION | Rejection.INCONSISTENT_CODE
+    decoded = (points.rejection & np.uint16(undecoded)) == 0
+    n_decoded = int(decoded.sum())
+    if not n_decoded:
+        return []
+    impossible = Rejection.OUTSIDE_PROJECTOR | Rejection.BEHIND_DEVICE | Rejection.OUTSIDE_VIEW
+    impossible |= Rejection.NO_MATCH | Rejection.RAYS_MISS | Rejection.UNCERTAIN
+    impossible |= Rejection.OUTSIDE_VOLUME
+    lost = float(((points.rejection & np.uint16(impossible)) != 0).sum() / n_decoded)
+    text = f"{lost:.1%} of the decoded pixels have no possible point"
+    if lost > LOST_ERROR:
+        return [Finding("error", "lost_part", lost, f"{text}; calibration (another set? R "
+                        "inverted?), measuring volume or plan do not belong to these images")]  # fmt: skip
+    if lost > LOST_WARNING:
+        return [Finding("warning", "lost_part", lost, f"{text}; check calibration, measuring "
+                        "volume and plan")]  # fmt: skip
+    return [Finding("ok", "lost_part", lost, text)]
+
+
+def check_texture(
+    matches: Correspondences, phases1: PhaseMap, phases2: PhaseMap, c1: Device, c2: Device, /
+) -> list[Finding]:
+    """Compare the texture of two cameras at phase-matched points.
+
+    Fringes of one direction show no epipolar error: a wrong calibration gives a pretty, wrong
+    cloud. But the surface itself, seen by both cameras, must agree at the matched points, and
+    disagree a few pixels beside the epipolar curve.
+    """
+    profile = texture_profile(matches, phases1, phases2, c1, c2)
+    if profile is None:
+        return []
+    shifts, correlation = profile
+    peak = int(np.argmax(correlation))
+    center = int(np.flatnonzero(shifts == 0)[0])
+    near = np.abs(shifts) <= TEXTURE_MAX_SHIFT_PX
+    here = float(correlation[near].max())
+    best, shift = float(correlation[peak]), float(shifts[peak])
+    name = "texture_shift_px"
+    if best < TEXTURE_MIN_PEAK:
+        return [Finding("ok", name, float("nan"), "too little texture to check the calibration")]
+    if abs(shift) <= TEXTURE_MAX_SHIFT_PX:
+        return [Finding("ok", name, shift, f"the texture of both cameras agrees best {shift:+.0f} "
+                        f"px beside the epipolar curves (correlation {best:.2f})")]  # fmt: skip
+    level: Literal["warning", "error"] = (
+        "error" if best - here > TEXTURE_CLEAR and best - correlation[center] > TEXTURE_CLEAR
+        else "warning"
+    )  # fmt: skip
+    return [Finding(level, name, shift, "the texture of both cameras agrees best "
+                    f"{shift:+.0f} px beside the epipolar curves (correlation {best:.2f}, on them "
+                    f"{here:.2f}): the calibration does not belong to these images. Check the rig "
+                    "file")]  # fmt: skip
+
+
+def texture_profile(
+    matches: Correspondences, phases1: PhaseMap, phases2: PhaseMap, c1: Device, c2: Device, /
+) -> tuple[NDArray[np.int64], NDArray[np.float64]] | None:
+    """Return shifts across the epipolar curves, px, and the correlation of the textures.
+
+    None where there are too few points.
+    """
+    good = np.flatnonzero(matches.rejection.ravel() == 0)
+    if len(good) < 500:
+        return None
+    good = good[:: max(1, len(good) // SAMPLE)]
+    texture1 = _texture(phases1).ravel()[good]
+    texture2 = _texture(phases2)
+    pixels = matches.pixels.reshape(-1, 2)[good]
+    normal = _across_epipolar(c1, c2, matches)
+    shifts = np.arange(-TEXTURE_SHIFTS_PX, TEXTURE_SHIFTS_PX + 1)
+    correlation = np.array(
+        [_correlation(texture1, _sample(texture2, pixels + shift * normal)) for shift in shifts]
+    )
+    return shifts, correlation
+
+
+def _texture(phases: PhaseMap) -> NDArray[np.float64]:
+    """Return the local contrast of the surface: brightness without its slow changes."""
+    lit = phases.rejection == 0
+    bright = np.where(lit, np.log(np.maximum(phases.offset, 1.0)), 0.0)
+    weight = ndimage.gaussian_filter(lit.astype(np.float64), 8.0)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        smooth = ndimage.gaussian_filter(bright, 8.0) / weight
+    fine = ndimage.gaussian_filter(bright, 1.0) / np.maximum(
+        ndimage.gaussian_filter(lit.astype(np.float64), 1.0), 1e-9
+    )
+    inner = ndimage.binary_erosion(lit, iterations=3)
+    return np.where(inner, fine - smooth, np.nan)
+
+
+def _across_epipolar(c1: Device, c2: Device, matches: Correspondences) -> NDArray[np.float64]:
+    """Return the unit normal of the epipolar curve in C2, for the middle of the matched pixels."""
+    grid = pixel_grid(c1.shape)[matches.rejection == 0]
+    middle = grid[len(grid) // 2]
+    curve = epipolar_curve(c1, c2, middle, np.geomspace(1.0, 1e5, 2000))
+    inside = ((curve > 0) & (curve < [c2.n_cols, c2.n_rows])).all(axis=-1)
+    part = curve[inside] if inside.sum() > 1 else curve[np.isfinite(curve).all(-1)]
+    tangent = part[-1] - part[0]
+    normal: NDArray[np.float64] = np.array([-tangent[1], tangent[0]]) / np.linalg.norm(tangent)
+    return normal if normal[1] >= 0 else -normal
+
+
+def _sample(texture: NDArray[np.float64], pixels: NDArray[np.float64]) -> NDArray[np.float64]:
+    col, row = np.rint(np.nan_to_num(pixels, nan=-1)).astype(int).T
+    inside = (row >= 0) & (row < texture.shape[0]) & (col >= 0) & (col < texture.shape[1])
+    values = np.full(len(pixels), np.nan)
+    values[inside] = texture[row[inside], col[inside]]
+    return values
+
+
+def _correlation(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
+    both = np.isfinite(a) & np.isfinite(b)
+    if both.sum() < 500:
+        return 0.0
+    x, y = a[both] - a[both].mean(), b[both] - b[both].mean()
+    return float((x @ y) / max(np.sqrt((x @ x) * (y @ y)), 1e-30))

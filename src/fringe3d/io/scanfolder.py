@@ -1,0 +1,52 @@
+"""Scan folders as the product writes them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from fringe3d.io.images import write_png
+from fringe3d.io.rigfile import rig_text
+from fringe3d.io.scanfile import (
+    FORMAT,
+    CameraTable,
+    NoiseTable,
+    ScanTable,
+    sequence_tables,
+    toml_text,
+)
+from fringe3d.model import Scan
+
+
+def write_scan(folder: Path, scan: Scan, /) -> None:
+    """Write ``scan.toml``, ``rig.toml`` and the images of every camera into a folder."""
+    first = scan.stacks[0]
+    bits = 8 * first.images.dtype.itemsize
+    shape = first.plan.projector_shape
+    has_projector = scan.rig is not None and scan.rig.projector is not None
+    table = ScanTable(
+        format=FORMAT,
+        title=scan.title,
+        rig="rig.toml" if scan.rig else None,
+        projector_size=shape[::-1] if shape and not has_projector else None,
+        bit_depth=bits,
+        black_level_dn=first.black_level_dn,
+        saturation_dn=None if first.saturation_dn == 2**bits - 1 else first.saturation_dn,
+        noise=NoiseTable(
+            read_noise_dn=first.noise.read_noise_dn, gain_dn_per_e=first.noise.gain_dn_per_e
+        )
+        if first.noise
+        else None,
+        cameras=[
+            CameraTable(name=stack.device_name, images=f"{stack.device_name}/{{index:03d}}.png")
+            for stack in scan.stacks
+        ],
+        sequence=sequence_tables(first.plan),
+    )
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "scan.toml").write_text(toml_text(table), encoding="utf-8")
+    if scan.rig is not None:
+        (folder / "rig.toml").write_text(rig_text(scan.rig), encoding="utf-8")
+    for stack in scan.stacks:
+        (folder / stack.device_name).mkdir(exist_ok=True)
+        for index, image in enumerate(stack.images):
+            write_png(folder / stack.device_name / f"{index:03d}.png", image)

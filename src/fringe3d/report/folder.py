@@ -1,0 +1,158 @@
+"""The result folder of a measurement."""
+
+from __future__ import annotations
+
+import hashlib
+import platform
+from dataclasses import asdict
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fringe3d import __version__
+from fringe3d.health import axis_name
+from fringe3d.io.atomic import new_folder
+from fringe3d.io.results import toml_document, write_ply, write_points
+from fringe3d.io.rigfile import rig_text
+from fringe3d.model import NO_ORDER, Scan
+from fringe3d.model.rejection import count_by_reason
+from fringe3d.pipeline import Measurement, MeasureOptions, point_cloud
+from fringe3d.report.overview import write_overview
+
+
+def write_result(
+    out: Path,
+    scan: Scan,
+    options: MeasureOptions,
+    result: Measurement,
+    /,
+    *,
+    overwrite: bool = False,
+) -> None:
+    """Write everything that a measurement leaves, completely or not at all.
+
+    ``points.npz`` and ``cloud.ply`` (``phase.npz`` without a rig), ``overview.png`` and
+    ``measure.toml``.
+    """
+    with new_folder(out, overwrite=overwrite) as folder:
+        if result.points is None:
+            write_points(folder / "phase.npz", phase_maps(result))
+        else:
+            write_points(folder / "points.npz", point_maps(result))
+            write_ply(
+                folder / "cloud.ply", point_cloud(result), comment=f"fringe3d {__version__}, mm"
+            )
+        write_overview(folder / "overview.png", result, title=_title(scan, result))
+        record = measure_record(scan, options, result)
+        (folder / "measure.toml").write_text(toml_document(record), encoding="utf-8")
+
+
+def point_maps(result: Measurement, /) -> dict[str, NDArray[Any]]:
+    """Return the maps of ``points.npz``, on the grid of C1."""
+    assert result.points is not None and result.matches is not None
+    main, points, matches = result.main, result.points, result.matches
+    good = points.is_valid
+    turns = np.where(matches.fringe_order == NO_ORDER, np.nan, matches.fringe_order)
+    on_camera = result.method != "projector"
+    maps = {
+        "points_mm": points.points_mm,
+        "sigma_mm": points.sigma_mm,
+        "absolute_phase": np.where(good, main.phase + 2 * np.pi * turns, np.nan),
+        "fringe_order": np.where(good, matches.fringe_order, NO_ORDER),
+        "order_probability": np.where(good, 1.0, np.nan).astype(np.float32),
+        "pixels_c2" if on_camera else "projector_xy": np.where(
+            good[..., None], matches.pixels, np.nan
+        ),
+        "skew_mm": points.skew_mm,
+        "offset": main.offset,
+        "modulation": main.modulation,
+        "rejection": points.rejection,
+    }
+    if np.isfinite(matches.epipolar_residual_px).any():
+        maps["epipolar_residual_px"] = matches.epipolar_residual_px
+    return maps
+
+
+def phase_maps(result: Measurement, /) -> dict[str, NDArray[Any]]:
+    """Return the maps of ``phase.npz``: one set for each camera, direction and period."""
+    maps: dict[str, NDArray[Any]] = {"rejection": result.rejection}
+    for camera in result.phases:
+        for direction in camera.directions:
+            for phases in (direction.main, *direction.others):
+                key = f"{camera.device_name}_{axis_name(phases.angle)}_{phases.period_px:g}px"
+                maps[f"{key}_wrapped_phase"] = phases.phase
+                maps[f"{key}_fringe_order"] = phases.order_class
+                maps[f"{key}_phase_std"] = phases.phase_std
+                maps[f"{key}_modulation"] = phases.modulation
+                maps[f"{key}_offset"] = phases.offset
+                maps[f"{key}_rejection"] = phases.rejection
+                if phases.is_absolute:
+                    maps[f"{key}_absolute_phase"] = phases.absolute_phase
+    return maps
+
+
+def summary(result: Measurement, /) -> str:
+    """Return the result in one line, with units."""
+    total = result.rejection.size
+    if result.points is None:
+        n_phases = int((result.rejection == 0).sum())
+        return (
+            f"phase maps only (no rig): {n_phases:,} of {total:,} pixels decoded, "
+            f"{len(result.phases[0].directions)} direction(s)"
+        )
+    depth = result.points.points_mm[..., 2][result.points.is_valid]
+    sigma = float(np.median(result.points.sigma_mm[result.points.is_valid]))
+    return (
+        f"{result.points.n_points:,} points of {total:,} pixels by method {result.method}, "
+        f"z {depth.min():.1f} to {depth.max():.1f} mm, median sigma {sigma * 1000:.1f} um"
+    )
+
+
+def measure_record(scan: Scan, options: MeasureOptions, result: Measurement, /) -> dict[str, Any]:
+    """Return what ``measure.toml`` says: everything needed to repeat and to judge the result."""
+    used = {stack.device_name: stack for stack in scan.stacks}
+    record: dict[str, Any] = {
+        "summary": summary(result),
+        "method": result.method,
+        "title": scan.title,
+        "time": datetime.now(UTC).isoformat(timespec="seconds"),
+        "versions": {"fringe3d": __version__, "python": platform.python_version(),
+                     "numpy": np.__version__},
+        "options": {k: list(v) if isinstance(v, tuple) else v for k, v in asdict(options).items()},
+        "pixels": {"total": result.rejection.size, "accepted": int((result.rejection == 0).sum()),
+                   "rejected": count_by_reason(result.rejection)},
+        "health": [asdict(finding) for finding in result.findings],
+        "images": {name: {"count": len(stack.images), "sha256": _digest(stack.images)}
+                   for name, stack in used.items()},
+        "seconds": {name: round(value, 3) for name, value in result.seconds.items()},
+        "decoding": [
+            {"camera": camera.device_name, "direction": axis_name(direction.main.angle),
+             "period_px": direction.main.period_px, "mended_by_one_cell": direction.main.n_mended,
+             "median_phase_std": _median(direction.main.phase_std, direction.main.rejection)}
+            for camera in result.phases for direction in camera.directions
+        ],
+    }  # fmt: skip
+    if scan.rig is not None:
+        record["rig"] = {
+            "provenance": scan.rig.provenance,
+            "sha256": hashlib.sha256(rig_text(scan.rig).encode()).hexdigest(),
+        }
+    return record
+
+
+def _digest(images: NDArray[Any]) -> str:
+    return hashlib.sha256(np.ascontiguousarray(images)).hexdigest()
+
+
+def _median(values: NDArray[np.float32], rejection: NDArray[np.uint16]) -> float:
+    good = values[rejection == 0]
+    return float(np.median(good)) if good.size else float("nan")
+
+
+def _title(scan: Scan, result: Measurement) -> str:
+    lines = [scan.title or "fringe3d", summary(result)]
+    lines += [f"{finding.level}: {finding.text}" for finding in result.warnings]
+    return "\n".join(line if len(line) < 190 else line[:187] + "..." for line in lines)
