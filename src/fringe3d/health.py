@@ -25,7 +25,7 @@ TEXTURE_MAX_SHIFT_PX = 3.0
 TEXTURE_CLEAR = 0.15
 """The peak of the texture correlation must stand out this far to accuse the calibration."""
 
-LOST_WARNING, LOST_ERROR = 0.3, 0.8
+LOST_WARNING, LOST_SEVERE = 0.3, 0.8
 """Part of the decoded pixels for which the geometry finds no point."""
 
 GAMMA_DISAGREEMENT_PX = 0.3
@@ -171,24 +171,23 @@ def check_epipolar(matches: Correspondences, /) -> list[Finding]:
 
 
 def check_yield(points: PointMap, /) -> list[Finding]:
-    """Judge how many of the decoded pixels the geometry could place."""
-    undecoded = Rejection.SATURATED | Rejection.LOW_MODULATION | Rejection.INCONSISTENT_CODE
-    decoded = (points.rejection & np.uint16(undecoded)) == 0
-    n_decoded = int(decoded.sum())
-    if not n_decoded:
+    """Judge how many of the pixels that could have a point the geometry could place."""
+    elsewhere = Rejection.SATURATED | Rejection.LOW_MODULATION | Rejection.INCONSISTENT_CODE
+    elsewhere |= Rejection.OUTSIDE_VOLUME
+    considered = (points.rejection & np.uint16(elsewhere)) == 0
+    if not considered.any():
         return []
-    impossible = Rejection.OUTSIDE_PROJECTOR | Rejection.BEHIND_DEVICE | Rejection.OUTSIDE_VIEW
-    impossible |= Rejection.NO_MATCH | Rejection.RAYS_MISS | Rejection.UNCERTAIN
-    impossible |= Rejection.OUTSIDE_VOLUME
-    lost = float(((points.rejection & np.uint16(impossible)) != 0).sum() / n_decoded)
+    lost = float((points.rejection[considered] != 0).mean())
     text = f"{lost:.1%} of the decoded pixels have no possible point"
-    if lost > LOST_ERROR:
-        return [Finding("error", "lost_part", lost, f"{text}; calibration (another set? R "
-                        "inverted?), measuring volume or plan do not belong to these images")]  # fmt: skip
-    if lost > LOST_WARNING:
-        return [Finding("warning", "lost_part", lost, f"{text}; check calibration, measuring "
-                        "volume and plan")]  # fmt: skip
-    return [Finding("ok", "lost_part", lost, text)]
+    if lost <= LOST_WARNING:
+        return [Finding("ok", "lost_part", lost, text)]
+    cause = (
+        "the calibration (another set? R inverted?), the measuring volume or the plan does not "
+        "belong to these images"
+        if lost > LOST_SEVERE
+        else "check calibration, measuring volume and plan"
+    )
+    return [Finding("warning", "lost_part", lost, f"{text}; {cause}")]
 
 
 def check_texture(

@@ -27,7 +27,13 @@ from fringe3d.model import (
     Scan,
 )
 from fringe3d.model.rejection import count_by_reason
-from fringe3d.triangulate import remove_edges, remove_isolated, triangulate, typical_gap_mm
+from fringe3d.triangulate import (
+    remove_edges,
+    remove_isolated,
+    remove_repeated,
+    triangulate,
+    typical_gap_mm,
+)
 
 Method = Literal["auto", "m1", "m2", "projector"]
 
@@ -154,7 +160,7 @@ def measure(
         if other.role == "camera":
             main1, main2 = (p.directions[0].main for p in phases[:2])
             findings += check_texture(matches, main1, main2, camera, other)
-        points = _clean(points, options)
+        points = remove_repeated(_clean(points, options), matches)
     result = Measurement(method=method, phases=phases, matches=matches, points=points,
                          findings=tuple(findings))  # fmt: skip
     return _finish(result, clock)

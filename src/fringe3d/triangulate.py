@@ -50,7 +50,7 @@ def triangulate(
     ``sigma = sigma_px / |d pixel / d t|``, t the distance along the viewing ray.
     """
     valid = matches.rejection == 0
-    origin, directions = rays(camera, pixel_grid(valid.shape)[valid])  # type: ignore[arg-type]
+    origin, directions = rays(camera, matches.pixels_c1[valid])
     origin2, directions2 = rays(other, matches.pixels[valid])
     t, t2 = closest_depths(origin, directions, origin2, directions2)
     on_ray, on_other = origin + t[:, None] * directions, origin2 + t2[:, None] * directions2
@@ -140,11 +140,35 @@ def remove_edges(points: PointMap, /, *, max_gap_mm: float) -> PointMap:
     return _without(points, ~inner, Rejection.EDGE)
 
 
+def remove_repeated(points: PointMap, matches: Correspondences, /) -> PointMap:
+    """Keep one pixel for each point that several pixels share; the others are SAME_POINT.
+
+    The pixel nearest to the middle of its code cell stays. Points from fringes are never shared.
+
+    Parameters
+    ----------
+    points : PointMap
+    matches : Correspondences from which the points were made
+    """
+    good = np.flatnonzero(points.is_valid)
+    places = matches.pixels_c1.reshape(-1, 2)[good]
+    grid = pixel_grid(points.rejection.shape).reshape(-1, 2)[good]  # type: ignore[arg-type]
+    away = np.linalg.norm(places - grid, axis=1)
+    if not away.any():
+        return points
+    nearest_first = np.lexsort((away, places[:, 1], places[:, 0]))
+    ordered = places[nearest_first]
+    is_first = np.r_[True, (np.diff(ordered, axis=0) != 0).any(axis=1)]
+    repeated = np.zeros(points.rejection.size, bool)
+    repeated[good[nearest_first[~is_first]]] = True
+    return _without(points, repeated.reshape(points.rejection.shape), Rejection.SAME_POINT)
+
+
 def typical_gap_mm(points: PointMap, /) -> float:
     """Return the median distance between points of neighbouring pixels, mm; NaN without any."""
     here, there = _NEIGHBOURS[0]
     gaps = np.linalg.norm(points.points_mm[here] - points.points_mm[there], axis=-1)
-    gaps = gaps[np.isfinite(gaps)]
+    gaps = gaps[gaps > 0]  # pixels that share a point have no gap
     return float(np.median(gaps)) if len(gaps) else float("nan")
 
 

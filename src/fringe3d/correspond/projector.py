@@ -32,6 +32,9 @@ TWO_PI = 2 * np.pi
 DEPTH_STEP = 1e-4
 """Part of the depth by which the ray is moved to find the direction of the epipolar curve."""
 
+MAX_CELL_RADIUS = 1.5
+"""Pixels further from the middle of the n pixels of their code cell than 1.5 sqrt(n) are strays."""
+
 GUARD_SIGMA = 3.0
 GUARD_PX = 0.5
 """Candidates are accepted this far beyond the ends of the segment (calibration error)."""
@@ -178,6 +181,7 @@ def _on_curve(phases: PhaseMap, camera: Device, projector: Device) -> Correspond
     reject(rejection, outside, Rejection.OUTSIDE_PROJECTOR)
     return _compose(
         projector.name,
+        pixel_grid(valid.shape),  # type: ignore[arg-type]
         valid,
         pixels,
         sigma_w / np.abs(slope),
@@ -190,19 +194,21 @@ def _on_curve(phases: PhaseMap, camera: Device, projector: Device) -> Correspond
 def _from_two_directions(
     a: PhaseMap, b: PhaseMap, camera: Device, projector: Device
 ) -> Correspondences:
-    rejection = a.rejection | b.rejection
-    valid = rejection == 0
     axes = np.array([[np.cos(m.angle), np.sin(m.angle)] for m in (a, b)])
     if abs(np.linalg.det(axes)) < 0.1:
         raise MethodError(
             "plan: the two fringe directions are less than 6 degrees apart; they do not fix a "
             "projector point. Measure with one of them"
         )
+    rejection = a.rejection | b.rejection
+    valid = rejection == 0
+    pixels_c1, n_shared = _middle_of_cells(a, b, valid)
     w = np.stack([m.position_px[valid] for m in (a, b)], axis=-1)
     pixels = w @ np.linalg.inv(axes).T - 0.5
     sigma_w = np.stack([m.phase_std[valid] * m.period_px / TWO_PI for m in (a, b)], axis=-1)
+    sigma_w /= np.sqrt(n_shared)[:, None]
 
-    origin, directions = rays(camera, pixel_grid(valid.shape)[valid])  # type: ignore[arg-type]
+    origin, directions = rays(camera, pixels_c1[valid])
     base, tangent = _epipolar_line_at(projector, origin, directions, pixels)
     away = pixels - base
     residual = tangent[:, 0] * away[:, 1] - tangent[:, 1] * away[:, 0]
@@ -213,7 +219,35 @@ def _from_two_directions(
     outside = valid.copy()
     outside[valid] = ~_inside(pixels, projector)
     reject(rejection, outside, Rejection.OUTSIDE_PROJECTOR)
-    return _compose(projector.name, valid, pixels, sigma, residual, a.order_class, rejection)
+    return _compose(
+        projector.name, pixels_c1, valid, pixels, sigma, residual, a.order_class, rejection
+    )
+
+
+def _middle_of_cells(
+    a: PhaseMap, b: PhaseMap, valid: NDArray[np.bool_]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return where C1 sees the coordinates, (row, col, 2), and how many pixels see the same.
+
+    With fringes every pixel has its own coordinates. Without, all pixels in one code cell of
+    both directions see one projector pixel, and their middle is its place.
+    """
+    grid = pixel_grid(valid.shape)  # type: ignore[arg-type]
+    if not (a.is_quantised and b.is_quantised):
+        return grid, np.ones(int(valid.sum()))
+    column, row = (m.order_class[valid].astype(np.int64) for m in (a, b))
+    _, cell = np.unique(row * (column.max(initial=0) + 1) + column, return_inverse=True)
+    places = grid[valid]
+    weight = np.ones(len(places))
+    for _ in range(2):  # the second time without pixels far from the middle (misread bits)
+        count = np.bincount(cell, weight)
+        middle = np.stack(
+            [np.bincount(cell, weight * places[:, i]) / np.maximum(count, 1) for i in (0, 1)], -1
+        )[cell]
+        away = np.linalg.norm(places - middle, axis=1)
+        weight = (away <= MAX_CELL_RADIUS * np.sqrt(count[cell])).astype(np.float64)
+    grid[valid] = np.where(weight[:, None] > 0, middle, places)
+    return grid, np.maximum(count[cell], 1)
 
 
 def _epipolar_line_at(
@@ -245,6 +279,7 @@ def _inside(pixels: NDArray[np.float64], device: Device) -> NDArray[np.bool_]:
 
 def _compose(
     name: str,
+    pixels_c1: NDArray[np.float64],
     valid: NDArray[np.bool_],
     pixels: NDArray[np.float64],
     sigma: NDArray[np.float64],
@@ -261,6 +296,7 @@ def _compose(
     sigma_map[bad] = residual_map[bad] = np.nan
     return Correspondences(
         device_name=name,
+        pixels_c1=pixels_c1,
         pixels=grid,
         sigma_px=sigma_map,
         epipolar_residual_px=residual_map,

@@ -19,6 +19,9 @@ from fringe3d.model import (
 )
 from fringe3d.model.rejection import reject
 
+OUTSIDE_VOLUME = 9
+"""State of a ray that does not meet the measuring volume; the search has its own states."""
+
 INTERPOLATION_WEIGHT = 4.0 / 9.0
 """Mean sum of squared weights of a bilinear interpolation at a random place, (2/3)**2."""
 
@@ -76,6 +79,9 @@ def match_cameras(
         found,
         state,
     )
+    if volume is not None:
+        enter, leave = depth_interval(origin, directions, volume)
+        state[~(enter < leave)] = OUTSIDE_VOLUME
     return _correspondences(phases1, phases2, camera2.name, valid, found, state)
 
 
@@ -105,6 +111,7 @@ def _correspondences(
     full_state = np.full(valid.shape, _search.FOUND, np.int8)
     full_state[valid] = state
     for code, reason in (
+        (OUTSIDE_VOLUME, Rejection.OUTSIDE_VOLUME),
         (_search.NO_VIEW, Rejection.OUTSIDE_VIEW),
         (_search.NONE, Rejection.NO_MATCH),
         (_search.SEVERAL, Rejection.AMBIGUOUS),
@@ -128,6 +135,7 @@ def _correspondences(
         sigma[good] = np.sqrt(variance) / np.abs(slope[good])
     return Correspondences(
         device_name=name,
+        pixels_c1=pixel_grid(valid.shape),  # type: ignore[arg-type]
         pixels=pixels,
         sigma_px=sigma,
         epipolar_residual_px=np.full(valid.shape, np.nan, np.float32),

@@ -20,7 +20,7 @@ from fringe3d.decode.phase import wrapped_phase
 from fringe3d.errors import MethodError
 from fringe3d.model import ImageStack, PhaseMap, WrappedPhaseMap
 from fringe3d.model.plan import GraySet, PatternPlan
-from fringe3d.patterns import extent_px
+from fringe3d.patterns import EDGE_TOLERANCE, extent_px
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,7 +100,10 @@ def _decode_direction(
     maps = [m for m in wrapped if m.angle == angle]
     codes = [g for g in stack.plan.gray_sets if g.angle == angle]
     if not maps:
-        return DirectionPhases(phase_from_code(stack, codes[0], extent), (), ())
+        # Two directions give whole projector pixels; the middle of all camera pixels that see
+        # one is better than a plane through its steps.
+        smooth = len(stack.plan.angles) == 1
+        return DirectionPhases(phase_from_code(stack, codes[0], extent, smooth=smooth), (), ())
     if codes:
         known = _orders_by_code(stack, codes[0], maps, wrapped[0], extent)
     elif len(maps) > 1:
@@ -128,15 +131,18 @@ def _orders_by_code(
     mean_dn = any_fringes.offset + np.float32(stack.black_level_dn)
     words = code_words(stack, code, mean_dn=mean_dn)
     tables = [order_table(code, m.period_px, extent) for m in maps]
-    best = min(range(len(maps)), key=lambda i: _ambiguity(tables[i], maps[i].period_px))
+    best = min(
+        range(len(maps)), key=lambda i: _suitability(tables[i], maps[i].period_px, code.cell_px)
+    )
     at_wrap = code.cell_px > 0.75 * maps[best].period_px
     return order_from_code(maps[best], words, tables[best], edges_at_wrap=at_wrap)
 
 
-def _ambiguity(table: OrderTable, period_px: float) -> tuple[float, float]:
-    """Rank fringes for a code: few orders in a class first, then the finer period."""
+def _suitability(table: OrderTable, period_px: float, cell_px: float) -> tuple[bool, float, float]:
+    """Rank fringes for a code: cells no wider than a period, few orders in a class, fine."""
     classes = table.classes.class_of_order
-    return len(classes) / len(np.unique(classes)), period_px
+    too_fine = period_px < cell_px * (1 - EDGE_TOLERANCE)
+    return too_fine, len(classes) / len(np.unique(classes)), period_px
 
 
 def _position_error(phases: PhaseMap) -> float:

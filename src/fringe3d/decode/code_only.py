@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fringe3d.decode._smooth import local_planes
-from fringe3d.decode.gray import CodeWords, code_words, expected_words
+from fringe3d.decode.gray import code_words, expected_words
 from fringe3d.decode.order import all_orders
 from fringe3d.errors import MethodError
 from fringe3d.model import NO_ORDER, ImageStack, PhaseMap, Rejection
@@ -24,18 +24,18 @@ MAX_SLOPE = 3.0
 
 
 def phase_from_code(
-    stack: ImageStack, gray_set: GraySet, extent_px: tuple[float, float], /
+    stack: ImageStack, gray_set: GraySet, extent_px: tuple[float, float], /, *, smooth: bool
 ) -> PhaseMap:
     """Decode a full Gray code to a phase of one turn per cell.
-
-    The steps of the code are smoothed by a plane through each pixel's neighbourhood (7 x 7),
-    which gives projector coordinates a few times finer than the cells.
 
     Parameters
     ----------
     stack : ImageStack
     gray_set : GraySet
     extent_px : smallest and largest w of the projector, px
+    smooth : bool
+        Put a plane through each pixel's neighbourhood (7 x 7): coordinates a few times finer than
+        the cells. Without, each pixel gets the middle of its cell (`PhaseMap.is_quantised`).
 
     Raises
     ------
@@ -56,9 +56,13 @@ def phase_from_code(
     cell = cell_of_word[words.word]
 
     offset, modulation = _brightness(stack, gray_set)
-    rejection = _rejection(stack, gray_set, modulation, words)
+    rejection = _rejection(stack, gray_set, modulation)
     reject(rejection, (rejection == 0) & (cell == NO_ORDER), Rejection.INCONSISTENT_CODE)
-    w, sigma = _smooth_cells(cell, rejection == 0, gray_set.cell_px)
+    if smooth:
+        w, sigma = _smooth_cells(cell, rejection == 0, gray_set.cell_px)
+    else:
+        w = np.where(rejection == 0, (cell + 0.5) * gray_set.cell_px, np.nan)
+        sigma = np.full(w.shape, gray_set.cell_px / np.sqrt(12), np.float32)
     reject(rejection, (rejection == 0) & np.isnan(w), Rejection.ISOLATED)
     turns = np.where(rejection == 0, w / gray_set.cell_px, 0.0)
     order = np.clip(np.floor(turns), orders.class_of_order[0], orders.class_of_order[-1])
@@ -75,6 +79,7 @@ def phase_from_code(
         period_px=gray_set.cell_px,
         angle=gray_set.angle,
         device_name=stack.device_name,
+        is_quantised=not smooth,
     )
 
 
@@ -93,13 +98,11 @@ def _brightness(
 
 
 def _rejection(
-    stack: ImageStack, gray_set: GraySet, modulation: NDArray[np.float32], words: CodeWords
+    stack: ImageStack, gray_set: GraySet, modulation: NDArray[np.float32]
 ) -> NDArray[np.uint16]:
     rejection = np.zeros(stack.shape, np.uint16)
     contrast = MIN_CONTRAST_OF_RANGE * (stack.saturation_dn - stack.black_level_dn)
-    reject(
-        rejection, (2 * modulation < contrast) | (words.contrast_dn == 0), Rejection.LOW_MODULATION
-    )
+    reject(rejection, (2 * modulation < contrast), Rejection.LOW_MODULATION)
     # Saturated light does not harm a bit; saturated dark does.
     places = [i for i in (*gray_set.indices, *gray_set.inverses) if i >= 0]
     always = np.ones(stack.shape, bool)

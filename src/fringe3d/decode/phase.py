@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import stats
 
 from fringe3d.errors import MethodError
 from fringe3d.model import ImageStack, Rejection, WrappedPhaseMap
@@ -19,6 +20,8 @@ MIN_MODULATION_OF_RANGE = 0.008
 255): quantisation alone then disturbs the phase by 0.15 rad."""
 
 MAD_TO_SIGMA = 1.4826
+KEPT_PART = 0.8
+MAX_HARMONIC = 4
 ROWS_AT_ONCE = 128
 
 
@@ -126,16 +129,28 @@ def _fit(
 ) -> tuple[NDArray[np.float32], ...]:
     """Return A above black, C, S and the sum of squared residuals, each (row, col)."""
     maps = np.empty((4, *stack.shape), np.float32)
-    shifts = np.asarray(fringe_set.shifts)
-    model = np.stack([np.ones_like(shifts), np.cos(shifts), np.sin(shifts)], 1).astype(np.float32)
+    leftover = _leftover(fringe_set)
     for top in range(0, stack.shape[0], ROWS_AT_ONCE):
         rows = slice(top, top + ROWS_AT_ONCE)
         images = stack.images[list(fringe_set.indices), rows].astype(np.float32)
         maps[:3, rows] = np.tensordot(solver, images, axes=1)
-        images -= np.tensordot(model, maps[:3, rows], axes=1)
-        maps[3, rows] = (images**2).sum(axis=0)
+        maps[3, rows] = (np.tensordot(leftover, images, axes=1) ** 2).sum(axis=0)
     maps[0] -= np.float32(stack.black_level_dn)
     return tuple(maps)
+
+
+def _leftover(fringe_set: FringeSet) -> NDArray[np.float32]:
+    """Return an orthonormal basis of what neither fringe nor its harmonics explain.
+
+    Shape (n, N), n the degrees of freedom. Harmonics (gamma) are no noise: as many as leave at
+    least one degree are taken out, up to the fourth.
+    """
+    shifts = np.asarray(fringe_set.shifts)
+    n_harmonics = max(1, min(MAX_HARMONIC, (len(shifts) - 2) // 2))
+    waves = [f(h * shifts) for h in range(1, n_harmonics + 1) for f in (np.cos, np.sin)]
+    basis, values, _ = np.linalg.svd(np.stack([np.ones_like(shifts), *waves], axis=1))
+    rank = int((values > 1e-6 * values[0]).sum())
+    return basis[:, rank:].T.astype(np.float32)
 
 
 def _grey_variance(
@@ -150,19 +165,26 @@ def _grey_variance(
         light = np.maximum(offset, 0)
         variance = stack.noise.read_noise_dn**2 + stack.noise.gain_dn_per_e * light
         return variance.astype(np.float32)
-    surplus = len(fringe_set.indices) - 3
+    surplus = len(_leftover(fringe_set))
     lit = modulation > MIN_MODULATION_OF_RANGE * stack.saturation_dn
     quantisation = 1 / 12
     if surplus and lit.any():
-        typical = float(np.median(residual[lit])) / _chi2_median(surplus)
+        typical = _trimmed_variance(residual[lit], surplus)
     else:
         typical = _pixel_noise(stack.images[fringe_set.indices[0]], lit) ** 2
     return np.full(stack.shape, max(typical, quantisation), np.float32)
 
 
-def _chi2_median(degrees: int) -> float:
-    """Return the median of a chi-square distribution (Wilson and Hilferty, 1931; < 1 %)."""
-    return 0.4549 if degrees == 1 else degrees * (1 - 2 / (9 * degrees)) ** 3
+def _trimmed_variance(sums: NDArray[np.float32], degrees: int) -> float:
+    """Estimate a variance from sums of squares, without their largest fifth (edges, motion).
+
+    A median would do but for grey values being integers; the mean of a chi-square variable
+    below its quantile x_q is ``degrees * F(x_q; degrees + 2) / q``.
+    """
+    kept = sums[sums <= np.quantile(sums, KEPT_PART)]
+    limit = stats.chi2.ppf(KEPT_PART, degrees)
+    expected = degrees * stats.chi2.cdf(limit, degrees + 2) / KEPT_PART
+    return float(kept.mean(dtype=np.float64) / expected)
 
 
 def _pixel_noise(image: NDArray[np.unsignedinteger], lit: NDArray[np.bool_]) -> float:

@@ -17,6 +17,8 @@ class Correspondences:
     Parameters
     ----------
     device_name : str; the other device
+    pixels_c1 : (row, col, 2) float64, px; (x, y) in C1: the pixel itself or, where a code without
+        fringes gives several pixels one projector pixel, the middle of them
     pixels : (row, col, 2) float64, px; (x, y) in the other device; NaN where rejected
     sigma_px : (row, col) float32, px; standard deviation along the epipolar curve
     epipolar_residual_px : (row, col) float32, px; signed distance from the epipolar curve in the
@@ -26,6 +28,7 @@ class Correspondences:
     """
 
     device_name: str
+    pixels_c1: NDArray[np.float64]
     pixels: NDArray[np.float64]
     sigma_px: NDArray[np.float32]
     epipolar_residual_px: NDArray[np.float32]
@@ -34,6 +37,7 @@ class Correspondences:
 
     def __post_init__(self) -> None:
         for name, dtype in (
+            ("pixels_c1", np.float64),
             ("pixels", np.float64),
             ("sigma_px", np.float32),
             ("epipolar_residual_px", np.float32),

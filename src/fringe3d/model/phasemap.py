@@ -81,6 +81,7 @@ class PhaseMap:
     angle : float, rad
     device_name : str
     n_mended : int; pixels whose code the phase or the neighbours corrected by one cell
+    is_quantised : bool; known to whole code cells only (Gray code without fringes)
     """
 
     phase: NDArray[np.float32]
@@ -95,6 +96,7 @@ class PhaseMap:
     device_name: str
     first_order: int = 0
     n_mended: int = 0
+    is_quantised: bool = False
 
     def __post_init__(self) -> None:
         f4 = np.float32

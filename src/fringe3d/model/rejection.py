@@ -27,6 +27,7 @@ class Rejection(IntFlag):
     UNCERTAIN = 1 << 10
     ISOLATED = 1 << 11
     EDGE = 1 << 12
+    SAME_POINT = 1 << 13
 
     @property
     def meaning(self) -> str:
@@ -48,6 +49,7 @@ _MEANINGS = {
     Rejection.UNCERTAIN: "the rays meet at so flat an angle that the point means nothing",
     Rejection.ISOLATED: "the point has no neighbours on its surface",
     Rejection.EDGE: "next to a depth edge, where light of two surfaces mixes (strict only)",
+    Rejection.SAME_POINT: "shares its projector pixel with neighbours: one point stands for all",
 }
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import platform
+import textwrap
 from dataclasses import asdict
 from datetime import UTC, datetime
 from pathlib import Path
@@ -21,6 +22,8 @@ from fringe3d.model import NO_ORDER, Scan
 from fringe3d.model.rejection import count_by_reason
 from fringe3d.pipeline import Measurement, MeasureOptions, point_cloud
 from fringe3d.report.overview import write_overview
+
+TITLE_COLUMNS = 175
 
 
 def write_result(
@@ -52,7 +55,8 @@ def write_result(
 
 def point_maps(result: Measurement, /) -> dict[str, NDArray[Any]]:
     """Return the maps of ``points.npz``, on the grid of C1."""
-    assert result.points is not None and result.matches is not None
+    assert result.points is not None
+    assert result.matches is not None
     main, points, matches = result.main, result.points, result.matches
     good = points.is_valid
     turns = np.where(matches.fringe_order == NO_ORDER, np.nan, matches.fringe_order)
@@ -155,4 +159,4 @@ def _median(values: NDArray[np.float32], rejection: NDArray[np.uint16]) -> float
 def _title(scan: Scan, result: Measurement) -> str:
     lines = [scan.title or "fringe3d", summary(result)]
     lines += [f"{finding.level}: {finding.text}" for finding in result.warnings]
-    return "\n".join(line if len(line) < 190 else line[:187] + "..." for line in lines)
+    return "\n".join(textwrap.fill(line, TITLE_COLUMNS, subsequent_indent="    ") for line in lines)

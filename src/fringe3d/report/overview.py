@@ -20,7 +20,7 @@ from fringe3d.pipeline import Measurement
 ACCEPTED = "#e8e8e8"
 REASON_COLORS = (
     "#d62728", "#30343b", "#9467bd", "#8c564b", "#e377c2", "#ff7f0e", "#ffdd00",
-    "#17becf", "#2ca02c", "#1f77b4", "#98df8a", "#bcbd22", "#ff9896",
+    "#17becf", "#2ca02c", "#1f77b4", "#98df8a", "#bcbd22", "#ff9896", "#b8c4d0",
 )  # fmt: skip
 MAX_PANEL_PX = 900
 """Maps are thinned to about this size; nobody sees more in one panel."""
@@ -42,7 +42,7 @@ def write_overview(path: Path, result: Measurement, /, *, title: str) -> None:
     aspect = float(np.clip(height / width, 0.5, 1.5))
     size = (16.5, 1.0 + n_rows * (5.0 * aspect + 0.75))
     figure = Figure(figsize=size, dpi=100, layout="constrained")
-    figure.suptitle(title, fontsize=13, x=0.01, ha="left")
+    figure.suptitle(title, fontsize=12, x=0.01, ha="left")
     axes = figure.subplots(n_rows, n_cols, squeeze=False).ravel()
     for axis, draw in zip(axes, panels, strict=False):
         draw(axis, window)
@@ -73,10 +73,11 @@ Drawer = Any
 
 def _point_panels(result: Measurement) -> list[Drawer]:
     main = result.main
-    assert result.points is not None and result.matches is not None
+    assert result.points is not None
+    assert result.matches is not None
     depth = result.points.points_mm[..., 2]
     order = np.where(result.matches.rejection == 0, result.matches.fringe_order, np.nan)
-    is_code = main.period_px <= 2 and main.n_mended == 0
+    is_code = main.is_quantised
     wrapped = _map("projector column, px" if is_code else "wrapped phase, rad",
                    main.position_px if is_code else main.phase,
                    "viridis" if is_code else "twilight")  # fmt: skip

@@ -22,6 +22,8 @@ from fringe3d.patterns import intensity
 
 Points = NDArray[np.float64]
 
+DEMO_NOISE = NoiseModel(read_noise_dn=0.8, gain_dn_per_e=0.01)
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SphereScene:
@@ -44,7 +46,7 @@ class SphereScene:
     light_dn: float = 190.0
     ambient_dn: float = 8.0
     black_level_dn: float = 0.0
-    noise: NoiseModel = NoiseModel(read_noise_dn=0.8, gain_dn_per_e=0.01)
+    noise: NoiseModel = DEMO_NOISE
     gamma: float = 1.0
 
 
