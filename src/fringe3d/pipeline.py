@@ -42,6 +42,9 @@ GAP_FACTOR = 10.0
 
 MIN_PATCH_PIXELS, STRICT_PATCH_PIXELS = 30, 200
 
+SPARSE_REACH_PX = 3
+"""Gray code alone leaves out the pixels on the edges of its cells."""
+
 EPIPOLAR_SIGMA = 6.0
 EPIPOLAR_FLOOR_PX = 0.5
 MAD_TO_SIGMA = 1.4826
@@ -160,7 +163,7 @@ def measure(
         if other.role == "camera":
             main1, main2 = (p.directions[0].main for p in phases[:2])
             findings += check_texture(matches, main1, main2, camera, other)
-        points = remove_repeated(_clean(points, options), matches)
+        points = remove_repeated(_clean(points, options, phases[0].directions[0].main), matches)
     result = Measurement(method=method, phases=phases, matches=matches, points=points,
                          findings=tuple(findings))  # fmt: skip
     return _finish(result, clock)
@@ -275,14 +278,15 @@ def _epipolar_limit(matches: Correspondences) -> float | None:
     return max(EPIPOLAR_FLOOR_PX, EPIPOLAR_SIGMA * MAD_TO_SIGMA * float(np.median(residual)))
 
 
-def _clean(points: PointMap, options: MeasureOptions) -> PointMap:
+def _clean(points: PointMap, options: MeasureOptions, main: PhaseMap) -> PointMap:
     gap = GAP_FACTOR * typical_gap_mm(points)
     if not np.isfinite(gap):
         return points
     if options.strict:
         points = remove_edges(points, max_gap_mm=gap)
     size = STRICT_PATCH_PIXELS if options.strict else MIN_PATCH_PIXELS
-    return remove_isolated(points, max_gap_mm=gap, min_pixels=size)
+    reach = SPARSE_REACH_PX if main.is_quantised else 1
+    return remove_isolated(points, max_gap_mm=gap, min_pixels=size, reach_px=reach)
 
 
 def _finish(result: Measurement, clock: _Clock) -> Measurement:

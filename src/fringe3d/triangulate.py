@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
@@ -96,7 +98,9 @@ def _point_map(
     return PointMap(points_mm=points_map, sigma_mm=sigma_map, skew_mm=skew_map, rejection=rejection)
 
 
-def remove_isolated(points: PointMap, /, *, max_gap_mm: float, min_pixels: int) -> PointMap:
+def remove_isolated(
+    points: PointMap, /, *, max_gap_mm: float, min_pixels: int, reach_px: int = 1
+) -> PointMap:
     """Reject points that do not belong to a surface patch.
 
     Neighbouring pixels are joined where their points are closer than `max_gap_mm`; patches of
@@ -107,19 +111,22 @@ def remove_isolated(points: PointMap, /, *, max_gap_mm: float, min_pixels: int) 
     points : PointMap
     max_gap_mm : float, mm, > 0
     min_pixels : int
+    reach_px : int, >= 1; how far apart, in rows and columns, neighbours may be
     """
-    shape = points.rejection.shape
-    index = np.arange(points.rejection.size).reshape(shape)
+    index = np.flatnonzero(points.is_valid)
+    number = np.full(points.rejection.shape, -1)
+    number.ravel()[index] = np.arange(len(index))
     pairs = []
-    for here, there in _NEIGHBOURS:
+    for here, there in _neighbours(reach_px):
         gap = np.linalg.norm(points.points_mm[here] - points.points_mm[there], axis=-1)
         joined = gap <= max_gap_mm
-        pairs.append(np.stack([index[here][joined], index[there][joined]]))
+        pairs.append(np.stack([number[here][joined], number[there][joined]]))
     start, end = np.concatenate(pairs, axis=1)
-    graph = coo_array((np.ones(len(start), bool), (start, end)), shape=(index.size, index.size))
+    graph = coo_array((np.ones(len(start), bool), (start, end)), shape=(len(index), len(index)))
     _, labels = connected_components(graph, directed=False)
-    size = np.bincount(labels)[labels].reshape(shape)
-    return _without(points, size < min_pixels, Rejection.ISOLATED)
+    small = np.zeros(points.rejection.size, bool)
+    small[index] = np.bincount(labels)[labels] < min_pixels
+    return _without(points, small.reshape(points.rejection.shape), Rejection.ISOLATED)
 
 
 def remove_edges(points: PointMap, /, *, max_gap_mm: float) -> PointMap:
@@ -131,7 +138,7 @@ def remove_edges(points: PointMap, /, *, max_gap_mm: float) -> PointMap:
     max_gap_mm : float, mm, > 0
     """
     joined = np.ones(points.rejection.shape, bool)
-    for here, there in _NEIGHBOURS:
+    for here, there in _neighbours(1):
         gap = np.linalg.norm(points.points_mm[here] - points.points_mm[there], axis=-1)
         far = ~(gap <= max_gap_mm)
         joined[here] &= ~far
@@ -166,17 +173,27 @@ def remove_repeated(points: PointMap, matches: Correspondences, /) -> PointMap:
 
 def typical_gap_mm(points: PointMap, /) -> float:
     """Return the median distance between points of neighbouring pixels, mm; NaN without any."""
-    here, there = _NEIGHBOURS[0]
+    here, there = next(_neighbours(1))
     gaps = np.linalg.norm(points.points_mm[here] - points.points_mm[there], axis=-1)
     gaps = gaps[gaps > 0]  # pixels that share a point have no gap
     return float(np.median(gaps)) if len(gaps) else float("nan")
 
 
-_NEIGHBOURS = (
-    ((slice(None), slice(None, -1)), (slice(None), slice(1, None))),
-    ((slice(None, -1), slice(None)), (slice(1, None), slice(None))),
-)
-"""Pairs of index ranges: each pixel with its right, and with its lower neighbour."""
+Window = tuple[slice, slice]
+
+
+def _neighbours(reach_px: int) -> Iterator[tuple[Window, Window]]:
+    """Yield pairs of windows that lay each pixel upon a neighbour, each pair once."""
+    for down in range(reach_px + 1):
+        for right in range(-reach_px, reach_px + 1):
+            if (down, right) > (0, 0) and (reach_px > 1 or down * right == 0):
+                yield (
+                    (
+                        slice(None, -down or None),
+                        slice(max(-right, 0), -right if right > 0 else None),
+                    ),
+                    (slice(down, None), slice(max(right, 0), right if right < 0 else None)),
+                )
 
 
 def _without(points: PointMap, where: NDArray[np.bool_], reason: Rejection) -> PointMap:

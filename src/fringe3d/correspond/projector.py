@@ -32,9 +32,6 @@ TWO_PI = 2 * np.pi
 DEPTH_STEP = 1e-4
 """Part of the depth by which the ray is moved to find the direction of the epipolar curve."""
 
-MAX_CELL_RADIUS = 1.5
-"""Pixels further from the middle of the n pixels of their code cell than 1.5 sqrt(n) are strays."""
-
 GUARD_SIGMA = 3.0
 GUARD_PX = 0.5
 """Candidates are accepted this far beyond the ends of the segment (calibration error)."""
@@ -238,16 +235,10 @@ def _middle_of_cells(
     column, row = (m.order_class[valid].astype(np.int64) for m in (a, b))
     _, cell = np.unique(row * (column.max(initial=0) + 1) + column, return_inverse=True)
     places = grid[valid]
-    weight = np.ones(len(places))
-    for _ in range(2):  # the second time without pixels far from the middle (misread bits)
-        count = np.bincount(cell, weight)
-        middle = np.stack(
-            [np.bincount(cell, weight * places[:, i]) / np.maximum(count, 1) for i in (0, 1)], -1
-        )[cell]
-        away = np.linalg.norm(places - middle, axis=1)
-        weight = (away <= MAX_CELL_RADIUS * np.sqrt(count[cell])).astype(np.float64)
-    grid[valid] = np.where(weight[:, None] > 0, middle, places)
-    return grid, np.maximum(count[cell], 1)
+    count = np.bincount(cell)
+    middle = [np.bincount(cell, places[:, axis]) / count for axis in (0, 1)]
+    grid[valid] = np.stack(middle, axis=-1)[cell]
+    return grid, count[cell].astype(np.float64)
 
 
 def _epipolar_line_at(

@@ -56,7 +56,9 @@ def phase_from_code(
     cell = cell_of_word[words.word]
 
     offset, modulation = _brightness(stack, gray_set)
-    rejection = _rejection(stack, gray_set, modulation)
+    # Whole cells count only where every bit is clear; a plane evens out unclear ones.
+    contrast = modulation if smooth else np.minimum(modulation, words.contrast_dn)
+    rejection = _rejection(stack, gray_set, contrast)
     reject(rejection, (rejection == 0) & (cell == NO_ORDER), Rejection.INCONSISTENT_CODE)
     if smooth:
         w, sigma = _smooth_cells(cell, rejection == 0, gray_set.cell_px)
@@ -98,11 +100,11 @@ def _brightness(
 
 
 def _rejection(
-    stack: ImageStack, gray_set: GraySet, modulation: NDArray[np.float32]
+    stack: ImageStack, gray_set: GraySet, contrast: NDArray[np.float32]
 ) -> NDArray[np.uint16]:
     rejection = np.zeros(stack.shape, np.uint16)
-    contrast = MIN_CONTRAST_OF_RANGE * (stack.saturation_dn - stack.black_level_dn)
-    reject(rejection, (2 * modulation < contrast), Rejection.LOW_MODULATION)
+    lowest = MIN_CONTRAST_OF_RANGE * (stack.saturation_dn - stack.black_level_dn)
+    reject(rejection, 2 * contrast < lowest, Rejection.LOW_MODULATION)
     # Saturated light does not harm a bit; saturated dark does.
     places = [i for i in (*gray_set.indices, *gray_set.inverses) if i >= 0]
     always = np.ones(stack.shape, bool)

@@ -56,7 +56,7 @@ def code_words(
     for bit, index, inverse in zip(gray_set.bits, gray_set.indices, gray_set.inverses, strict=True):
         if index >= 0 and inverse >= 0:
             bright = stack.images[index].astype(np.float32)
-            difference = bright - stack.images[inverse]
+            difference = (bright - stack.images[inverse]) / 2
             used.add("inverses")
         elif fixed is None:
             raise MethodError(
