@@ -112,7 +112,7 @@ class Measurement:
 
 
 def measure(
-    scan: Scan, options: MeasureOptions | None = None, /, *, stage: Callable[[str], None] = str
+    scan: Scan, options: MeasureOptions | None = None, /, *, stage: Callable[[str], object] = str
 ) -> Measurement:
     """Measure: decode, find correspondences, triangulate, check.
 
@@ -318,7 +318,7 @@ def point_cloud(result: Measurement, /) -> PointCloud:
         points_mm=result.points.points_mm[good],
         sigma_mm=result.points.sigma_mm[good],
         grey=np.clip(255 * offset / top, 0, 255).astype(np.uint8),
-        source_index=np.argwhere(good),
+        source_index=np.argwhere(good).astype(np.int32),
     )
 
 

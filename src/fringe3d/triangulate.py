@@ -159,7 +159,7 @@ def remove_repeated(points: PointMap, matches: Correspondences, /) -> PointMap:
     """
     good = np.flatnonzero(points.is_valid)
     places = matches.pixels_c1.reshape(-1, 2)[good]
-    grid = pixel_grid(points.rejection.shape).reshape(-1, 2)[good]  # type: ignore[arg-type]
+    grid = pixel_grid(points.rejection.shape).reshape(-1, 2)[good]
     away = np.linalg.norm(places - grid, axis=1)
     if not away.any():
         return points

@@ -140,7 +140,7 @@ def _order_range(
     volume: MeasuringVolume,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the absolute phase, in turns, at the two ends of each valid pixel's segment."""
-    pixels = pixel_grid(phases.phase.shape)[valid]  # type: ignore[arg-type]
+    pixels = pixel_grid(phases.phase.shape)[valid]
     origin, directions = rays(camera, pixels)
     near, far = epipolar_segment(camera, projector, pixels, volume)
     ends = []
@@ -157,7 +157,7 @@ def _across(pixels: NDArray[np.float64], angle: float) -> NDArray[np.float64]:
 
 def _on_curve(phases: PhaseMap, camera: Device, projector: Device) -> Correspondences:
     valid = phases.rejection == 0
-    origin, directions = rays(camera, pixel_grid(valid.shape)[valid])  # type: ignore[arg-type]
+    origin, directions = rays(camera, pixel_grid(valid.shape)[valid])
     position = phases.position_px[valid]
     depth = sheet_crossing(projector, origin, directions, position, phases.angle)
     met = np.isfinite(depth)
@@ -178,7 +178,7 @@ def _on_curve(phases: PhaseMap, camera: Device, projector: Device) -> Correspond
     reject(rejection, outside, Rejection.OUTSIDE_PROJECTOR)
     return _compose(
         projector.name,
-        pixel_grid(valid.shape),  # type: ignore[arg-type]
+        pixel_grid(valid.shape),
         valid,
         pixels,
         sigma_w / np.abs(slope),
@@ -214,7 +214,7 @@ def _from_two_directions(
     with np.errstate(divide="ignore"):
         sigma = 1 / np.sqrt(((crossing / sigma_w) ** 2).sum(axis=-1))
     outside = valid.copy()
-    outside[valid] = ~_inside(pixels, projector)
+    outside[valid] = np.logical_not(_inside(pixels, projector))
     reject(rejection, outside, Rejection.OUTSIDE_PROJECTOR)
     return _compose(
         projector.name, pixels_c1, valid, pixels, sigma, residual, a.order_class, rejection
@@ -229,7 +229,7 @@ def _middle_of_cells(
     With fringes every pixel has its own coordinates. Without, all pixels in one code cell of
     both directions see one projector pixel, and their middle is its place.
     """
-    grid = pixel_grid(valid.shape)  # type: ignore[arg-type]
+    grid = pixel_grid(valid.shape)
     if not (a.is_quantised and b.is_quantised):
         return grid, np.ones(int(valid.sum()))
     column, row = (m.order_class[valid].astype(np.int64) for m in (a, b))
@@ -264,8 +264,7 @@ def _epipolar_line_at(
 def _inside(pixels: NDArray[np.float64], device: Device) -> NDArray[np.bool_]:
     """Tell which pixels lie in the image, give or take one pixel of calibration error."""
     limit = np.array([device.n_cols, device.n_rows]) + 0.5
-    inside: NDArray[np.bool_] = ((pixels > -1.5) & (pixels < limit)).all(axis=-1)
-    return inside
+    return np.asarray(((pixels > -1.5) & (pixels < limit)).all(axis=-1))
 
 
 def _compose(

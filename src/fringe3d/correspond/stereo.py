@@ -59,7 +59,7 @@ def match_cameras(
     """
     _require_same_fringes(phases1, phases2)
     valid = phases1.rejection == 0
-    origin, directions = rays(camera1, pixel_grid(valid.shape)[valid])  # type: ignore[arg-type]
+    origin, directions = rays(camera1, pixel_grid(valid.shape)[valid])
     seen = frustum(camera2)
     bounds = seen if volume is None else volume.intersection(seen)
     near, far = depth_interval(origin, directions, bounds)
@@ -135,7 +135,7 @@ def _correspondences(
         sigma[good] = np.sqrt(variance) / np.abs(slope[good])
     return Correspondences(
         device_name=name,
-        pixels_c1=pixel_grid(valid.shape),  # type: ignore[arg-type]
+        pixels_c1=pixel_grid(valid.shape),
         pixels=pixels,
         sigma_px=sigma,
         epipolar_residual_px=np.full(valid.shape, np.nan, np.float32),

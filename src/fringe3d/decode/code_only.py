@@ -44,7 +44,9 @@ def phase_from_code(
     """
     words = code_words(stack, gray_set, mean_dn=None)
     orders = all_orders(gray_set.cell_px, extent_px)
-    expected = expected_words(gray_set, (orders.class_of_order + 0.5) * gray_set.cell_px)
+    expected = expected_words(
+        gray_set, (orders.class_of_order.astype(np.float64) + 0.5) * gray_set.cell_px
+    )
     if len(np.unique(expected)) < len(expected):
         raise MethodError(
             f"camera '{stack.device_name}': {len(gray_set.bits)} Gray-code bits do not tell "

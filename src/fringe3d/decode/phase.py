@@ -96,7 +96,7 @@ def wrapped_phase(
         phase=np.where(rejection == 0, np.arctan2(sine, cosine), np.nan),
         offset=offset,
         modulation=modulation,
-        phase_std=phase_std,
+        phase_std=phase_std.astype(np.float32),
         rejection=rejection,
         period_px=fringe_set.period_px,
         angle=fringe_set.angle,

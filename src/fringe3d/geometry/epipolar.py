@@ -158,7 +158,7 @@ def sheet_crossing(
         t = (base[:2] @ scale - base[2] * target) / (along[:, 2] * target - along[:, :2] @ scale)
 
     def position(t: NDArray[np.float64]) -> NDArray[np.float64]:
-        return project(projector, origin + t[:, None] * directions) @ axis + half
+        return np.asarray(project(projector, origin + t[:, None] * directions) @ axis + half)
 
     error = np.full_like(t, np.inf)
     for _ in range(SHEET_ITERATIONS):
@@ -169,7 +169,8 @@ def sheet_crossing(
         slope = (position(t + step) - position(t - step)) / (2 * step)
         with np.errstate(divide="ignore", invalid="ignore"):
             t = t - error / slope
-    return np.where((np.abs(error) <= 1e-4) & (t > 0), t, np.nan)
+    met = (np.abs(error) <= 1e-4) & (t > 0)
+    return np.asarray(np.where(met, t, np.nan))
 
 
 def closest_depths(

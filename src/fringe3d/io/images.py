@@ -63,16 +63,10 @@ def _decode(path: Path, data: bytes) -> NDArray[Any]:
             return np.asarray(tifffile.imread(io.BytesIO(data)))
         except Exception as problem:  # noqa: BLE001  (tifffile raises many kinds)
             raise ImageError(f"{unreadable}decoded: {problem}") from None
-    level = cv2.getLogLevel() if hasattr(cv2, "getLogLevel") else None
     try:
-        if level is not None:
-            cv2.setLogLevel(0)
         image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     except cv2.error as problem:
         raise ImageError(f"{unreadable}decoded: {problem}") from None
-    finally:
-        if level is not None:
-            cv2.setLogLevel(level)
     if image is None:
         raise ImageError(f"{unreadable}decoded. Check the file")
     return np.asarray(image)

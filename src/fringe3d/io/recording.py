@@ -59,7 +59,7 @@ def read_scan(
         for camera in table.cameras
     ]
     total = sum(len(files) for files in listed)
-    stacks = []
+    stacks: list[ImageStack] = []
     for camera, files in zip(table.cameras, listed, strict=True):
         done = sum(len(stack.images) for stack in stacks)
         pictures = []
@@ -99,7 +99,7 @@ def _base_folder(file: Path, table: ScanTable, camera: CameraTable, images: Path
     probe = camera.files[0] if camera.files else (camera.images or "")
     folder = str(PurePosixPath(probe).parent)
     for tail in tails:
-        if _matches(tail, camera, None) or (folder != "." and (tail / folder).is_dir()):
+        if _matches(tail, camera, None) or bool(folder != "." and (tail / folder).is_dir()):
             return tail
     return tails[0] if tails[0].is_dir() else base
 

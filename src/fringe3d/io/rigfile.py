@@ -176,7 +176,7 @@ def _highest(volume: MeasuringVolume, direction: np.ndarray) -> float:
                      bounds=(None, None))  # fmt: skip
     if result.status == 2:
         raise ValueError("volume: expected some points inside, found none (it is empty)")
-    return float(-result.fun) if result.status == 0 else float("inf")
+    return -float(result.fun or 0.0) if result.status == 0 else float("inf")
 
 
 def rig_text(rig: Rig, /) -> str:

@@ -15,7 +15,7 @@ from fringe3d.io.images import Channel
 from fringe3d.io.toml import StrictModel, read_toml
 from fringe3d.model import Fringe, GrayBit, NoiseModel, Pattern, PatternPlan, Uniform, Unused
 
-FORMAT = "fringe3d-scan/1"
+FORMAT: Literal["fringe3d-scan/1"] = "fringe3d-scan/1"
 
 
 class _Striped(StrictModel):

@@ -41,7 +41,7 @@ class PointMap:
     @property
     def is_valid(self) -> NDArray[np.bool_]:
         """Return (row, col); True where there is a point."""
-        return self.rejection == 0
+        return np.asarray(self.rejection == 0)
 
     @property
     def n_points(self) -> int:

@@ -61,7 +61,7 @@ def point_maps(result: Measurement, /) -> dict[str, NDArray[Any]]:
     good = points.is_valid
     turns = np.where(matches.fringe_order == NO_ORDER, np.nan, matches.fringe_order)
     on_camera = result.method != "projector"
-    maps = {
+    maps: dict[str, NDArray[Any]] = {
         "points_mm": points.points_mm,
         "sigma_mm": points.sigma_mm,
         "absolute_phase": np.where(good, main.phase + 2 * np.pi * turns, np.nan),
@@ -148,7 +148,7 @@ def measure_record(scan: Scan, options: MeasureOptions, result: Measurement, /) 
 
 
 def _digest(images: NDArray[Any]) -> str:
-    return hashlib.sha256(np.ascontiguousarray(images)).hexdigest()
+    return hashlib.sha256(images.tobytes()).hexdigest()
 
 
 def _median(values: NDArray[np.float32], rejection: NDArray[np.uint16]) -> float:

@@ -185,9 +185,18 @@ def _reasons(rejection: NDArray[np.uint16]) -> Drawer:
 
 
 def _thin(values: NDArray[Any], window: tuple[slice, slice]) -> NDArray[Any]:
+    """Thin a map; a block takes its first pixel with a value, so that sparse points stay seen."""
     part = values[window]
     step = max(1, int(np.ceil(max(part.shape) / MAX_PANEL_PX)))
-    return part[::step, ::step]
+    rows, cols = (n // step * step for n in part.shape)
+    blocks = part[:rows, :cols].reshape(rows // step, step, cols // step, step)
+    thin = blocks[:, 0, :, 0].copy()
+    for i, j in np.ndindex(step, step):
+        other = blocks[:, i, :, j]
+        empty = np.isnan(thin) if thin.dtype.kind == "f" else thin != 0
+        filled = np.isfinite(other) if thin.dtype.kind == "f" else other == 0
+        thin = np.where(empty & filled, other, thin)
+    return thin
 
 
 def _extent(window: tuple[slice, slice]) -> tuple[float, float, float, float]:

@@ -178,7 +178,7 @@ def sees(device: Device, points: Points, scene: SphereScene, /) -> NDArray[np.bo
     away = points - origin
     distance = np.linalg.norm(away, axis=-1)
     hidden = _sphere_distance(origin, away / distance[..., None], scene) < distance - 1e-6
-    return ~hidden
+    return np.asarray(~hidden)
 
 
 def _sphere_distance(origin: Points, directions: Points, scene: SphereScene) -> Points:
@@ -223,7 +223,7 @@ def _shading(projector: Device, scene: SphereScene, truth: Truth) -> Points:
     normals = np.where(truth.on_sphere[..., None], on_sphere, [0.0, 0.0, 1.0])
     cosine = np.maximum((normals * away).sum(-1) / distance, 0.0)
     reference = float(np.linalg.norm(projector.center_world))
-    return cosine * (reference / distance) ** 2
+    return np.asarray(cosine * (reference / distance) ** 2)
 
 
 def _albedo(points: Points) -> Points:

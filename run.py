@@ -1,0 +1,75 @@
+#!/usr/bin/env python3
+"""Set up fringe3d in a virtual environment beside this file, and run one of two jobs.
+
+python3 run.py demo    measure an embedded scan; look at demo/result/overview.png
+python3 run.py test    check style and types, and pass all tests
+
+Needs Python 3.11 or newer and nothing else.
+"""
+
+import hashlib
+import subprocess
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent
+ENVIRONMENT = ROOT / ".venv"
+SCRIPTS = ENVIRONMENT / ("Scripts" if sys.platform == "win32" else "bin")
+PYTHON = SCRIPTS / ("python.exe" if sys.platform == "win32" else "python")
+
+
+def main(arguments: list[str]) -> int:
+    """Run the job named on the command line; return the exit code."""
+    if sys.version_info < (3, 11):
+        print(f"run.py: expected Python 3.11 or newer, found {sys.version.split()[0]}")
+        return 2
+    match arguments:
+        case ["demo"]:
+            set_up(extras="")
+            return call("-m", "fringe3d", "demo", "--out", "demo", "--overwrite")
+        case ["test", *options]:
+            set_up(extras="[dev]")
+            jobs = (
+                ("-m", "ruff", "check", "."),
+                ("-m", "ruff", "format", "--check", "."),
+                ("-m", "mypy"),
+                ("-m", "pytest", *options),
+            )
+            # The last one closes the output; the others stop it early.
+            return next((code for job in jobs if (code := call(*job))), 0)
+        case _:
+            print(__doc__)
+            return 2
+
+
+def set_up(*, extras: str) -> None:
+    """Create the environment and install the project, unless that was done before."""
+    wanted = hashlib.sha256(
+        (ROOT / "pyproject.toml").read_bytes() + (ROOT / "constraints.txt").read_bytes()
+    ).hexdigest()
+    stamp = ENVIRONMENT / "installed"
+    done = stamp.read_text().split() if stamp.exists() else []
+    if f"{wanted}{extras}" in done and PYTHON.exists():
+        return
+    print("run.py: setting up the environment in .venv (once)", flush=True)
+    if not PYTHON.exists():
+        try:
+            subprocess.run([sys.executable, "-m", "venv", str(ENVIRONMENT)], check=True)
+        except subprocess.CalledProcessError:
+            sys.exit("run.py: cannot create a virtual environment; on Debian or Ubuntu install "
+                     "the package python3-venv first")  # fmt: skip
+    install = ["-m", "pip", "install", "--quiet", "--disable-pip-version-check",
+               "--constraint", "constraints.txt", "--editable", f".{extras}"]  # fmt: skip
+    if call(*install):
+        sys.exit("run.py: the installation failed (see above)")
+    kept = [entry for entry in done if entry.startswith(wanted)]
+    stamp.write_text("\n".join({*kept, wanted, f"{wanted}{extras}"}))
+
+
+def call(*arguments: str) -> int:
+    """Run the environment's Python in the project folder; return its exit code."""
+    return subprocess.run([str(PYTHON), *arguments], cwd=ROOT, check=False).returncode
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,100 @@
+"""Imports run one way. The table is the architecture; a new arrow needs a reason here."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+SOURCE = Path(__file__).parent.parent / "src" / "fringe3d"
+
+NOUNS = {"errors", "model"}
+ALLOWED: dict[str, set[str]] = {
+    "__init__": set(),
+    "__main__": {"cli"},
+    "errors": set(),
+    "model": {"errors"},
+    "geometry": NOUNS,
+    "patterns": NOUNS,
+    "decode": NOUNS | {"patterns"},
+    "correspond": NOUNS | {"geometry", "patterns"},
+    "triangulate": NOUNS | {"geometry"},
+    # Health judges the stages before it, so it may know their results and the geometry.
+    "health": NOUNS | {"geometry", "decode"},
+    "simulate": NOUNS | {"geometry", "patterns"},
+    "io": NOUNS | {"patterns"},
+    "pipeline": NOUNS | {"geometry", "decode", "correspond", "triangulate", "health"},
+    "report": NOUNS | {"patterns", "health", "io", "pipeline", "__init__"},
+    "cli": NOUNS | {"patterns", "io", "pipeline", "report", "simulate", "health", "__init__"},
+}
+
+EDGE_LIBRARIES = {
+    "cv2": {"io"},
+    "tifffile": {"io"},
+    "tomlkit": {"io"},
+    "pydantic": {"io"},
+    "matplotlib": {"report"},
+    "rich": {"cli"},
+    "cyclopts": {"cli"},
+    "numba": {"geometry", "decode", "correspond"},
+}
+
+FILES = sorted(SOURCE.rglob("*.py"))
+
+
+def component(path: Path) -> str:
+    """Return the top-level module or package that a file belongs to."""
+    return path.relative_to(SOURCE).parts[0].removesuffix(".py")
+
+
+def imports(path: Path) -> Iterator[str]:
+    """Yield the full names of all imported modules, wherever they are imported."""
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path}: relative import"
+            assert all(alias.name != "*" for alias in node.names), f"{path}: import *"
+            if node.module == "fringe3d":
+                yield from (f"fringe3d.{alias.name}" for alias in node.names)
+            else:
+                yield node.module or ""
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda p: str(p.relative_to(SOURCE)))
+def test_every_import_is_an_arrow_of_the_architecture(path: Path) -> None:
+    own = component(path)
+    for name in imports(path):
+        parts = name.split(".")
+        if parts[0] == "fringe3d" and len(parts) > 1:
+            target = "__init__" if parts[1].startswith("__") else parts[1]
+            assert target == own or target in ALLOWED[own], f"{own} -> {target}"
+        elif parts[0] in EDGE_LIBRARIES:
+            assert own in EDGE_LIBRARIES[parts[0]], f"{own} -> {parts[0]}"
+
+
+def test_the_table_has_no_cycle() -> None:
+    order: list[str] = []
+    while len(order) < len(ALLOWED):
+        ready = [name for name in ALLOWED if name not in order and ALLOWED[name] <= set(order)]
+        assert ready, f"cycle among {set(ALLOWED) - set(order)}"
+        order += ready
+
+
+def test_estimator_and_simulator_are_strangers() -> None:
+    estimator = {"decode", "correspond", "triangulate", "health", "pipeline"}
+    assert all("simulate" not in ALLOWED[name] for name in estimator)
+    assert not ALLOWED["simulate"] & estimator
+
+
+def test_private_modules_stay_inside_their_package() -> None:
+    # The search kernel evaluates the lens model at every step and cannot call back into Python.
+    shared = {("correspond/_search.py", "fringe3d.geometry._lens")}
+    for path in FILES:
+        for name in imports(path):
+            if any(part.startswith("_") and part != "__future__" for part in name.split(".")):
+                relative = path.relative_to(SOURCE).as_posix()
+                same_package = name.split(".")[1] == component(path)
+                assert same_package or (relative, name) in shared, f"{relative}: {name}"
