@@ -94,7 +94,7 @@ def test_private_modules_stay_inside_their_package() -> None:
     shared = {("correspond/_search.py", "fringe3d.geometry._lens")}
     for path in FILES:
         for name in imports(path):
-            if any(part.startswith("_") and part != "__future__" for part in name.split(".")):
+            if any(part.startswith("_") and not part.startswith("__") for part in name.split(".")):
                 relative = path.relative_to(SOURCE).as_posix()
                 same_package = name.split(".")[1] == component(path)
                 assert same_package or (relative, name) in shared, f"{relative}: {name}"
