@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from fringe3d.decode import CameraPhases, DirectionPhases
-from fringe3d.geometry import epipolar_curve, pixel_grid
+from fringe3d.geometry import epipolar_curve, epipolar_segment, pixel_grid
 from fringe3d.model import Correspondences, Device, PhaseMap, PointMap, Rejection
 
 TWO_PI = 2 * np.pi
@@ -19,19 +19,30 @@ TWO_PI = 2 * np.pi
 EPIPOLAR_WARNING_PX, EPIPOLAR_ERROR_PX = 0.5, 3.0
 """Good rigs stay below 0.3 px; 3 px is no calibration of these images."""
 
-TEXTURE_SHIFTS_PX = 80
+TEXTURE_REACH = 5
+"""Shifts up to this part of the image are tried."""
+
 TEXTURE_MIN_PEAK = 0.25
-TEXTURE_MAX_SHIFT_PX = 3.0
-TEXTURE_CLEAR = 0.15
+TEXTURE_MAX_SHIFT_PX = 3
+TEXTURE_CLEAR = 0.12
 """The peak of the texture correlation must stand out this far to accuse the calibration."""
+
+TEXTURE_MIN_SIGNAL = 4.0
+FINE_FILTER_PIXELS = 4 * np.pi
+"""Pixels that a Gaussian of 1 px averages over."""
 
 LOST_WARNING, LOST_SEVERE = 0.3, 0.8
 """Part of the decoded pixels for which the geometry finds no point."""
+
+MIN_YIELD = 0.002
+"""Fewer points per decoded pixel are strays, whatever the reason."""
 
 GAMMA_DISAGREEMENT_PX = 0.3
 GAMMA_EXPLAINED = 0.4
 HARMONIC_WARNING = 0.05
 SAMPLE = 40_000
+MAD_TO_SIGMA = 1.4826
+FAR_MM = 1e5
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,7 +114,11 @@ def _period_finding(direction: DirectionPhases, other: PhaseMap) -> Finding:
         return Finding("ok", name, spread, f"{where}: periods {pair} agree to {spread:.2f} px")
     n_shifts = min(m.n_shifts for m in direction.wrapped)
     share = explained_by_nonlinearity(main, other, n_shifts)
-    said = f"{where}: the periods {pair} disagree by up to {spread:.1f} px (95 % of the pixels)"
+    typical = float(np.median(np.abs(finite)))
+    said = (
+        f"{where}: the periods {pair} disagree by {typical:.1f} px (median) and up to "
+        f"{spread:.1f} px (95 % of the pixels)"
+    )
     if share >= GAMMA_EXPLAINED:
         cure = (
             f"{share:.0%} of it repeats {n_shifts} times per period: the gamma (nonlinearity) of "
@@ -150,43 +165,63 @@ def axis_name(angle: float, /) -> str:
 
 def check_epipolar(matches: Correspondences, /) -> list[Finding]:
     """Judge the distance of decoded projector points from their epipolar curves."""
-    residual = matches.epipolar_residual_px
-    residual = residual[np.isfinite(residual)]
-    if not len(residual):
+    good = np.isfinite(matches.epipolar_residual_px)
+    if not good.any():
         return []
+    residual = matches.epipolar_residual_px[good].astype(np.float64)
     typical = float(np.median(np.abs(residual)))
+    noise = float(np.median(np.abs(residual - _smooth_part(residual, np.argwhere(good)))))
     text = (
-        f"epipolar residual in '{matches.device_name}': median |r| {typical:.3f} px, "
-        f"median r {float(np.median(residual)):+.3f} px"
+        f"epipolar residual in '{matches.device_name}': median |r| {typical:.2f} px, median r "
+        f"{float(np.median(residual)):+.2f} px; noise {noise:.2f} px, the rest is a smooth pattern "
+        "of the calibration"
     )
     name = "epipolar_residual_px"
+    level: Literal["ok", "warning", "error"] = "ok"
     if typical > EPIPOLAR_ERROR_PX:
-        return [Finding("error", name, typical, f"{text}; the calibration does not belong to "
-                        "these images. Check the rig file (another set? R inverted? rows and "
-                        "columns exchanged?)")]  # fmt: skip
-    if typical > EPIPOLAR_WARNING_PX:
-        return [Finding("warning", name, typical,
-                        f"{text}; good rigs stay below 0.3 px. Calibrate again")]  # fmt: skip
-    return [Finding("ok", name, typical, text)]
+        level = "error"
+        text += (
+            ". The calibration does not belong to these images: check the rig file (another set? "
+            "R inverted? rows and columns exchanged?)"
+        )
+    elif typical > EPIPOLAR_WARNING_PX:
+        level = "warning"
+        text += f". Good rigs stay below {EPIPOLAR_WARNING_PX} px: calibrate again"
+    return [Finding(level, name, typical, text)]
+
+
+def _smooth_part(values: NDArray[np.float64], places: NDArray[np.intp]) -> NDArray[np.float64]:
+    """Return a cubic surface through values at image places (n, 2), robust against strays."""
+    y, x = (places / np.maximum(places.max(axis=0), 1) * 2 - 1).T
+    model = np.stack([x**i * y**j for i in range(4) for j in range(4 - i)], axis=1)
+    limit = 5 * MAD_TO_SIGMA * np.median(np.abs(values - np.median(values)))
+    kept = np.abs(values - np.median(values)) <= limit
+    kept[kept] = np.arange(kept.sum()) % max(1, int(kept.sum()) // SAMPLE) == 0
+    coefficients, *_ = np.linalg.lstsq(model[kept], values[kept], rcond=None)
+    return np.asarray(model @ coefficients)
 
 
 def check_yield(points: PointMap, /) -> list[Finding]:
     """Judge how many of the pixels that could have a point the geometry could place."""
-    elsewhere = Rejection.SATURATED | Rejection.LOW_MODULATION | Rejection.INCONSISTENT_CODE
-    elsewhere |= Rejection.OUTSIDE_VOLUME
-    considered = (points.rejection & np.uint16(elsewhere)) == 0
+    undecoded = Rejection.SATURATED | Rejection.LOW_MODULATION | Rejection.INCONSISTENT_CODE
+    decoded = (points.rejection & np.uint16(undecoded)) == 0
+    considered = decoded & ((points.rejection & np.uint16(Rejection.OUTSIDE_VOLUME)) == 0)
     if not considered.any():
         return []
     lost = float((points.rejection[considered] != 0).mean())
-    text = f"{lost:.1%} of the decoded pixels have no possible point"
-    if lost <= LOST_WARNING:
-        return [Finding("ok", "lost_part", lost, text)]
+    found = float((points.rejection[decoded] == 0).mean())
     cause = (
         "the calibration (another set? R inverted?), the measuring volume or the plan does not "
         "belong to these images"
-        if lost > LOST_SEVERE
-        else "check calibration, measuring volume and plan"
     )
+    if found < MIN_YIELD:
+        text = f"only {found:.2%} of the decoded pixels gave a point; {cause}"
+        return [Finding("error", "lost_part", 1 - found, text)]
+    text = f"{lost:.1%} of the decoded pixels have no possible point"
+    if lost <= LOST_WARNING:
+        return [Finding("ok", "lost_part", lost, text)]
+    if lost <= LOST_SEVERE:
+        cause = "check calibration, measuring volume and plan"
     return [Finding("warning", "lost_part", lost, f"{text}; {cause}")]
 
 
@@ -203,25 +238,34 @@ def check_texture(
     if profile is None:
         return []
     shifts, correlation = profile
-    peak = int(np.argmax(correlation))
-    center = int(np.flatnonzero(shifts == 0)[0])
-    near = np.abs(shifts) <= TEXTURE_MAX_SHIFT_PX
-    here = float(correlation[near].max())
-    best, shift = float(correlation[peak]), float(shifts[peak])
+    best, shift = float(correlation.max()), float(shifts[np.argmax(correlation)])
+    here = float(correlation[np.abs(shifts) <= TEXTURE_MAX_SHIFT_PX].max())
     name = "texture_shift_px"
-    if best < TEXTURE_MIN_PEAK:
+    wrong = "the calibration does not belong to these images. Check the rig file"
+    if here >= TEXTURE_MIN_PEAK and best - here <= TEXTURE_CLEAR:
+        return [Finding("ok", name, shift if abs(shift) <= TEXTURE_MAX_SHIFT_PX else 0.0,
+                        "the texture of both cameras agrees at the matched points "
+                        f"(correlation {here:.2f})")]  # fmt: skip
+    if best >= TEXTURE_MIN_PEAK and best - here > TEXTURE_CLEAR:
+        return [Finding("error", name, shift, "the texture of both cameras agrees "
+                        f"{shift:+.0f} px beside the epipolar curves (correlation {best:.2f}), not "
+                        f"on them ({here:.2f}): {wrong}")]  # fmt: skip
+    if texture_signal(phases1) < TEXTURE_MIN_SIGNAL:
         return [Finding("ok", name, float("nan"), "too little texture to check the calibration")]
-    if abs(shift) <= TEXTURE_MAX_SHIFT_PX:
-        return [Finding("ok", name, shift, f"the texture of both cameras agrees best {shift:+.0f} "
-                        f"px beside the epipolar curves (correlation {best:.2f})")]  # fmt: skip
-    level: Literal["warning", "error"] = (
-        "error" if best - here > TEXTURE_CLEAR and best - correlation[center] > TEXTURE_CLEAR
-        else "warning"
-    )  # fmt: skip
-    return [Finding(level, name, shift, "the texture of both cameras agrees best "
-                    f"{shift:+.0f} px beside the epipolar curves (correlation {best:.2f}, on them "
-                    f"{here:.2f}): the calibration does not belong to these images. Check the rig "
-                    "file")]  # fmt: skip
+    return [Finding("warning", name, float("nan"), "the texture of both cameras does not agree at "
+                    f"the matched points (correlation {here:.2f}): {wrong}, unless the surface "
+                    "shines like a mirror")]  # fmt: skip
+
+
+def texture_signal(phases: PhaseMap, /) -> float:
+    """Return how far the texture of the surface stands out of the noise."""
+    texture = _texture(phases)
+    good = np.isfinite(texture)
+    if not good.any():
+        return 0.0
+    # sigma_A = sigma_I / sqrt(N) = sigma_phase B / sqrt(2); the filter averages 12 pixels.
+    noise = phases.phase_std[good] * phases.modulation[good] / np.sqrt(2 * FINE_FILTER_PIXELS)
+    return float(np.std(texture[good]) / np.median(noise / np.maximum(phases.offset[good], 1.0)))
 
 
 def texture_profile(
@@ -239,7 +283,8 @@ def texture_profile(
     texture2 = _texture(phases2)
     pixels = matches.pixels.reshape(-1, 2)[good]
     normal = _across_epipolar(c1, c2, matches)
-    shifts = np.arange(-TEXTURE_SHIFTS_PX, TEXTURE_SHIFTS_PX + 1)
+    reach = max(c2.n_rows, c2.n_cols) // TEXTURE_REACH
+    shifts = np.arange(-reach, reach + 1)
     correlation = np.array(
         [_correlation(texture1, _sample(texture2, pixels + shift * normal)) for shift in shifts]
     )
@@ -264,10 +309,11 @@ def _across_epipolar(c1: Device, c2: Device, matches: Correspondences) -> NDArra
     """Return the unit normal of the epipolar curve in C2, for the middle of the matched pixels."""
     grid = pixel_grid(c1.shape)[matches.rejection == 0]
     middle = grid[len(grid) // 2]
-    curve = epipolar_curve(c1, c2, middle, np.geomspace(1.0, 1e5, 2000))
-    inside = ((curve > 0) & (curve < [c2.n_cols, c2.n_rows])).all(axis=-1)
-    part = curve[inside] if inside.sum() > 1 else curve[np.isfinite(curve).all(-1)]
-    tangent = part[-1] - part[0]
+    near, far = epipolar_segment(c1, c2, middle, None)
+    curve = epipolar_curve(
+        c1, c2, middle, np.geomspace(float(near), min(float(far), FAR_MM), 3)[1:]
+    )
+    tangent = curve[1] - curve[0]
     normal: NDArray[np.float64] = np.array([-tangent[1], tangent[0]]) / np.linalg.norm(tangent)
     return normal if normal[1] >= 0 else -normal
 

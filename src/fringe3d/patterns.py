@@ -134,7 +134,8 @@ def sequence(
     n_shifts : int, >= 3; 0 for Gray code alone, with cells of the first period's width
     angles : float, rad; one full set of images for each
     reverse : bool; the fringes move towards smaller w
-    gray : "none", "plain" (cells of one period) or "complementary" (cells of half a period)
+    gray : "none", "plain" (cells of one period) or "complementary" (cells of half a period;
+        plain where there are no fringes)
     gray_bits : int or None
         Number of periods told apart is ``2**gray_bits`` (cyclic if that is fewer than there
         are); all of them if None. A complementary code has one image more.
@@ -150,12 +151,14 @@ def sequence(
         raise ValueError("plan: expected at least one period_px, found none")
     if gray not in ("none", "plain", "complementary"):
         raise ValueError(f"plan: expected gray none, plain or complementary, found '{gray}'")
+    if gray_bits is not None and gray_bits < 1:
+        raise ValueError(f"plan: expected gray_bits >= 1, found {gray_bits}; no code is gray none")
     patterns: list[Pattern] = []
     for angle in angles:
         for period in periods_px if n_shifts else ():
             patterns += fringes(period, n_shifts, angle=angle, reverse=reverse)
         if gray != "none":
-            extra = 1 if gray == "complementary" else 0
+            extra = 1 if gray == "complementary" and n_shifts else 0
             bits = gray_bits or full_gray_bits(shape, periods_px[0], angle)
             cell = periods_px[0] / (1 + extra)
             patterns += gray_code(cell, bits + extra, angle=angle, inverses=inverses)

@@ -5,8 +5,9 @@ from __future__ import annotations
 import math
 import sys
 import warnings
+from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from cyclopts import App, CycloptsError, Parameter
 
@@ -24,6 +25,17 @@ Json = Annotated[bool, Parameter(name="--json", negative=(), help="Print the res
 Overwrite = Annotated[bool, Parameter(negative=(), help="Replace what is there.")]
 
 
+def _at_least(low: float) -> Callable[[type, Any], None]:
+    """Return a check that a number, or each of several, is finite and not below `low`."""
+
+    def check(_type: type, value: Any) -> None:
+        for number in value if isinstance(value, list) else [value]:
+            if number is not None and not low <= number < math.inf:
+                raise ValueError(f"Expected a number of at least {low:g}.")
+
+    return check
+
+
 @app.command
 def measure(
     scan: Path,
@@ -34,10 +46,10 @@ def measure(
     rig: Path | None = None,
     method: Literal["auto", "m1", "m2", "projector"] = "auto",
     shifts: int | None = None,
-    gray_bits: int | None = None,
+    gray_bits: Annotated[int | None, Parameter(validator=_at_least(0))] = None,
     depth: str | None = None,
     strict: Annotated[bool, Parameter(negative=())] = False,
-    min_modulation: float | None = None,
+    min_modulation: Annotated[float | None, Parameter(validator=_at_least(0))] = None,
     overwrite: Overwrite = False,
     as_json: Json = False,
 ) -> None:
@@ -76,7 +88,7 @@ def measure(
     from fringe3d.pipeline import measure as run
     from fringe3d.report.folder import measure_record, summary, write_result
 
-    require_writable(out, overwrite=overwrite)
+    require_writable(out, overwrite=overwrite, inputs=(scan, images, rig))
     options = MeasureOptions(
         method=method,
         n_shifts=shifts,
@@ -101,13 +113,13 @@ def patterns(
     *,
     size: str,
     out: Path,
-    period: list[float],
+    period: Annotated[list[float], Parameter(validator=_at_least(1))],
     steps: int = 4,
     direction: Literal["x", "y", "xy"] = "x",
-    angle: float | None = None,
+    angle: Annotated[float | None, Parameter(validator=_at_least(-360))] = None,
     reverse: Annotated[bool, Parameter(negative=())] = False,
     gray: Literal["complementary", "plain", "none"] = "complementary",
-    gray_bits: int | None = None,
+    gray_bits: Annotated[int | None, Parameter(validator=_at_least(1))] = None,
     inverses: Annotated[bool, Parameter(negative=())] = False,
     light_dark: Annotated[bool, Parameter(negative=())] = False,
     bits: Literal[8, 16] = 8,
@@ -166,9 +178,88 @@ def patterns(
             light_dark=light_dark,
         )
     except ValueError as problem:
-        raise MethodError(str(problem)) from None
+        raise MethodError(f"{problem}. See fringe3d patterns --help") from None
     write_patterns(out, plan, bit_depth=bits, overwrite=overwrite)
     say(f"{plan.n_images} images of {width} x {height} px, {bits} bit -> {out}")
+
+
+@app.command(name="import")
+def import_(
+    images: Path,
+    /,
+    *,
+    out: Path | None = None,
+    camera: list[str] | None = None,
+    sequence: list[str] | None = None,
+    projector_size: str | None = None,
+    rig: Path | None = None,
+    calibration: Path | None = None,
+    calibration_keys: str | None = None,
+    inverse_pose: Annotated[bool, Parameter(negative=())] = False,
+    depth: str | None = None,
+    bit_depth: int = 8,
+    black_level: float = 0.0,
+    title: str = "",
+    overwrite: Overwrite = False,
+) -> None:
+    """Describe a recording made by other software, and check the description.
+
+    Writes a scan.toml (and a rig.toml); asks for what is not given as an option.
+    Example: fringe3d import images --camera "c1={index:02d}.png"
+    --sequence "fringes period_px=60 n_shifts=12" --sequence "gray cell_px=30 n_bits=6"
+    --calibration stereo.yml --projector-size 1920x1080
+
+    Parameters
+    ----------
+    images
+        Folder of the images.
+    out
+        The scan file; IMAGES/scan.toml by default.
+    camera
+        NAME=PATTERN[@FIRST], as "c1=left/{index:02d}.png@1"; repeat it for a second camera.
+    sequence
+        What was projected, in recorded order, as in the [[sequence]] entries of a scan file:
+        "fringes ...", "gray ...", "light", "dark" or "unused count=2"; repeat it.
+    projector_size
+        Projector pixels, WIDTHxHEIGHT.
+    rig
+        An existing rig file.
+    calibration
+        A calibration by OpenCV (YAML, XML, JSON), converted to rig.toml beside the scan file.
+    calibration_keys
+        Names of its matrices: M1,D1,M2,D2,R,T, with :projector if the second is a projector.
+    inverse_pose
+        R and T map the second device to the first (OpenCV's map the first to the second).
+    depth
+        MIN:MAX, mm along the principal ray of C1; becomes the measuring volume.
+    bit_depth
+        Bits of a grey value.
+    black_level
+        Grey value without light.
+    title
+        A line for pictures and reports.
+    """
+    from fringe3d.cli.importer import ImportOptions, import_recording
+
+    options = ImportOptions(
+        images=images,
+        out=out or images / "scan.toml",
+        cameras=tuple(camera or ()),
+        sequence=tuple(sequence or ()),
+        projector_size=_size(projector_size, "--projector-size") if projector_size else None,
+        rig=rig,
+        calibration=calibration,
+        calibration_keys=calibration_keys,
+        inverse_pose=inverse_pose,
+        depth_mm=_depth(depth),
+        bit_depth=bit_depth,
+        black_level=black_level,
+        title=title,
+        overwrite=overwrite,
+    )
+    with Reporter(quiet=False).running() as reporter:
+        text = import_recording(options, reporter)
+    say(text)
 
 
 @app.command
@@ -196,18 +287,18 @@ def _depth(text: str | None) -> tuple[float, float] | None:
         low, high = (float(part) for part in text.split(":"))
     except ValueError:
         raise MethodError(f"--depth: expected MIN:MAX in mm, as 600:800, found '{text}'") from None
-    if not low < high:
-        raise MethodError(f"--depth: expected MIN below MAX, found '{text}'")
+    if not -math.inf < low < high < math.inf:
+        raise MethodError(f"--depth: expected MIN below MAX, both finite, found '{text}'")
     return low, high
 
 
-def _size(text: str) -> tuple[int, int]:
+def _size(text: str, option: str = "--size") -> tuple[int, int]:
     try:
         width, height = (int(part) for part in text.lower().split("x"))
     except ValueError:
-        raise MethodError(f"--size: expected WIDTHxHEIGHT, as 1024x768, found '{text}'") from None
+        raise MethodError(f"{option}: expected WIDTHxHEIGHT, as 1024x768, found '{text}'") from None
     if width < 1 or height < 1:
-        raise MethodError(f"--size: expected positive numbers, found '{text}'")
+        raise MethodError(f"{option}: expected positive numbers, found '{text}'")
     return width, height
 
 
@@ -215,11 +306,15 @@ def main(arguments: list[str] | None = None) -> None:
     """Run the command line; exit code 0 done, 2 for a mistake that the user can mend."""
     warnings.simplefilter("default", AccuracyWarning)
     try:
-        app(arguments, exit_on_error=False, print_error=True, result_action="return_value")
-    except CycloptsError:
+        app(arguments, exit_on_error=False, print_error=False, result_action="return_value")
+    except CycloptsError as problem:
+        fail(f"{' '.join(str(problem).split())} See --help")
         sys.exit(2)
     except Fringe3DError as problem:
         fail(str(problem))
+        sys.exit(2)
+    except OSError as problem:
+        fail(f"{problem}. Check the path, its permissions and the space on the disk")
         sys.exit(2)
     except KeyboardInterrupt:
         fail("interrupted; nothing was written")

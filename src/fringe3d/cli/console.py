@@ -10,6 +10,7 @@ from typing import Any
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
+from rich.text import Text
 
 
 class Reporter:
@@ -49,12 +50,12 @@ class Reporter:
 
     def warn(self, text: str) -> None:
         """Print a warning."""
-        self.console.print(f"[yellow]warning:[/] {_plain(text)}", soft_wrap=True)
+        self.console.print(_labelled("warning:", "yellow", text), soft_wrap=True)
 
 
-def _plain(text: str) -> str:
-    """Escape what rich would take for mark-up."""
-    return text.replace("[", r"\[")
+def _labelled(label: str, colour: str, text: str) -> Text:
+    """Return a text with a coloured label; nothing in the text is mark-up."""
+    return Text.assemble((label, colour), " ", text)
 
 
 def say(text: str, record: dict[str, Any] | None = None, *, as_json: bool = False) -> None:
@@ -64,4 +65,5 @@ def say(text: str, record: dict[str, Any] | None = None, *, as_json: bool = Fals
 
 def fail(text: str) -> None:
     """Print an error."""
-    Console(stderr=True, highlight=False).print(f"[red]error:[/] {_plain(text)}", soft_wrap=True)
+    console = Console(stderr=True, highlight=False)
+    console.print(_labelled("error:", "red", text), soft_wrap=True)

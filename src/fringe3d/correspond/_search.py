@@ -129,7 +129,7 @@ def search(  # type: ignore[no-untyped-def]
         if not length < MAX_STEPS * STEP_PX:
             continue
         n = max(2, int(length / STEP_PX) + 1)
-        hits, where, last_hit, r_before = 0, 0.0, -1e9, np.nan
+        hits, where, rise, last_hit, r_before = 0, 0.0, 0.0, -1e9, np.nan
         for k in range(n + 1):
             if k % LENS_STEPS == 0:
                 s0, s1 = k / n, (k + LENS_STEPS) / n
@@ -148,7 +148,7 @@ def search(  # type: ignore[no-untyped-def]
                 if same:
                     if hits == 0 or (k - last_hit) * length / n > SAME_POINT_PX:
                         hits += 1
-                        where = at
+                        where, rise = at, r - r_before
                     last_hit = k
             r_before = r
         if hits != 1:
@@ -162,7 +162,7 @@ def search(  # type: ignore[no-untyped-def]
         r0, _ = _difference(x, y, phase1[i], order1[i], phase2, order2)
         x, y = project_normalized(ax + s1 * (ex - ax), ay + s1 * (ey - ay), lens2)
         r1, _ = _difference(x, y, phase1[i], order1[i], phase2, order2)
-        slope = (r1 - r0) * n / length
+        slope = (rise if math.isnan(r1 - r0) else r1 - r0) * n / length
         s, r = where, 0.0
         for _ in range(REFINEMENTS):
             x, y = project_normalized(ax + s * (ex - ax), ay + s * (ey - ay), lens2)

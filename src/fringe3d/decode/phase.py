@@ -19,8 +19,15 @@ MIN_MODULATION_OF_RANGE = 0.008
 """Part of the grey-value range below which contrast is rejected, whatever the noise (2 DN of
 255): quantisation alone then disturbs the phase by 0.15 rad."""
 
-MAD_TO_SIGMA = 1.4826
-KEPT_PART = 0.8
+KEPT_PART = 0.5
+"""Part of the pixels that the noise is estimated from; the others may be edges or motion."""
+
+ROUNDING_DN = 0.02
+"""Lengths closer than this differ by float32 rounding only."""
+
+NOISE_SAMPLE = 100_000
+"""Pixels that give the noise to 0.4 %."""
+
 MAX_HARMONIC = 4
 ROWS_AT_ONCE = 128
 
@@ -169,29 +176,31 @@ def _grey_variance(
     lit = modulation > MIN_MODULATION_OF_RANGE * stack.saturation_dn
     quantisation = 1 / 12
     if surplus and lit.any():
-        typical = _trimmed_variance(residual[lit], surplus)
+        typical = _robust_sigma(np.sqrt(residual[lit]), surplus) ** 2
     else:
         typical = _pixel_noise(stack.images[fringe_set.indices[0]], lit) ** 2
     return np.full(stack.shape, max(typical, quantisation), np.float32)
 
 
-def _trimmed_variance(sums: NDArray[np.float32], degrees: int) -> float:
-    """Estimate a variance from sums of squares, without their largest fifth (edges, motion).
+def _robust_sigma(lengths: NDArray[np.float32], degrees: int) -> float:
+    """Estimate sigma from the lengths of noise vectors, without the larger half of them.
 
-    A median would do but for grey values being integers; the mean of a chi-square variable
-    below its quantile x_q is ``degrees * F(x_q; degrees + 2) / q``.
+    Grey values are integers, so the lengths may be few and far between (multiples of 1/2 for four
+    steps): sigma follows from the middle of the gap above the median, and the part below it.
     """
-    kept = sums[sums <= np.quantile(sums, KEPT_PART)]
-    limit = stats.chi2.ppf(KEPT_PART, degrees)
-    expected = degrees * stats.chi2.cdf(limit, degrees + 2) / KEPT_PART
-    return float(kept.mean(dtype=np.float64) / expected)
+    sample = lengths[:: max(1, len(lengths) // NOISE_SAMPLE)].astype(np.float64)
+    kept = sample <= np.quantile(sample, KEPT_PART) + ROUNDING_DN
+    if kept.all():
+        return float(np.sqrt((sample**2).mean() / degrees))
+    edge = (sample[kept].max() + sample[~kept].min()) / 2
+    return float(edge / np.sqrt(stats.chi2.ppf(kept.mean(), degrees)))
 
 
 def _pixel_noise(image: NDArray[np.unsignedinteger], lit: NDArray[np.bool_]) -> float:
     """Estimate the noise of one image, DN, from its second differences along both axes.
 
     The mask of J. Immerkaer, "Fast noise variance estimation", CVIU 64 (1996), cancels planes;
-    its response to white noise of unit variance is 6. The median ignores edges.
+    its response to white noise of unit variance is 6. The smaller half of them ignores edges.
     """
     grey = image.astype(np.float32)
     along = grey[:, :-2] - 2 * grey[:, 1:-1] + grey[:, 2:]
@@ -199,7 +208,7 @@ def _pixel_noise(image: NDArray[np.unsignedinteger], lit: NDArray[np.bool_]) -> 
     inner = lit[1:-1, 1:-1]
     if not inner.any():
         return 0.0
-    return MAD_TO_SIGMA * float(np.median(response[inner])) / 6
+    return _robust_sigma(response[inner] / 6, 1)
 
 
 def _harmonic_ratio(

@@ -21,6 +21,15 @@ NEWTON_STEPS = 12
 STEP_TOLERANCE = 1e-13
 """Normalised units: 1e-9 px or less for any focal length below 10 000 px."""
 
+SCAN_RADIUS = 2.0
+"""Normalised units, 63 deg off the axis: how far folds of the lens are searched beforehand."""
+
+SCAN_STEPS = 256
+SCAN_DIRECTIONS = 32
+
+PATH_STEPS = 64
+"""Points between the centre and a solution beyond the scanned radius that must be one to one."""
+
 
 @njit(cache=True)
 def lens_vector(focal, center, distortion):  # type: ignore[no-untyped-def]
@@ -93,7 +102,41 @@ def _newton(x, y, target_x, target_y, lens):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def normalize_pixel(u, v, lens):  # type: ignore[no-untyped-def]
+def _keeps_order(x, y, lens):  # type: ignore[no-untyped-def]
+    """Tell whether the lens neither folds nor mirrors at a point, nor lies it beyond a pole."""
+    _, _, jxx, jxy, jyx, jyy = distort(x, y, lens)
+    r2 = x * x + y * y
+    lower = 1 + r2 * (lens[9] + r2 * (lens[10] + r2 * lens[11]))
+    return lower > 0 and jxx * jyy - jxy * jyx > 0 and jxx + jyy > 0
+
+
+@njit(cache=True, error_model="numpy")
+def safe_radius(lens):  # type: ignore[no-untyped-def]
+    """Return the normalised radius inside which the lens folds in no direction."""
+    step = SCAN_RADIUS / SCAN_STEPS
+    for i in range(1, SCAN_STEPS + 1):
+        for j in range(SCAN_DIRECTIONS):
+            azimuth = 2 * math.pi * j / SCAN_DIRECTIONS
+            if not _keeps_order(i * step * math.cos(azimuth), i * step * math.sin(azimuth), lens):
+                return (i - 1) * step
+    return SCAN_RADIUS
+
+
+@njit(cache=True, error_model="numpy")
+def _on_branch(x, y, lens, safe):  # type: ignore[no-untyped-def]
+    """Tell whether no fold of the lens lies between the image centre and a solution."""
+    radius = math.sqrt(x * x + y * y)
+    if radius <= safe:
+        return True
+    for i in range(1, PATH_STEPS + 1):
+        part = i / PATH_STEPS
+        if part * radius > safe and not _keeps_order(part * x, part * y, lens):
+            return False
+    return not math.isnan(radius)
+
+
+@njit(cache=True, error_model="numpy")
+def normalize_pixel(u, v, lens, safe):  # type: ignore[no-untyped-def]
     """Invert `project_normalized`; NaN where the lens model has no one-to-one inverse."""
     # Undo the tilt: an exact homography, solved by Cramer's rule.
     xt, yt = (u - lens[2]) / lens[0], (v - lens[3]) / lens[1]
@@ -103,13 +146,14 @@ def normalize_pixel(u, v, lens):  # type: ignore[no-untyped-def]
     det = a * d - b * c
     xd, yd = (e * d - b * f) / det, (a * f - c * e) / det
     x, y = _newton(xd, yd, xd, yd, lens)
-    # A start at the distorted point may land on another branch of a strong lens: there the
-    # radius grows beyond what a walk from the centre reaches. The walk decides.
-    if math.isnan(x) or abs(x - xd) + abs(y - yd) > 0.1 * (abs(xd) + abs(yd)) + 1e-3:
+    # A start at the distorted point may land beyond a fold: then walk there from the centre.
+    if not _on_branch(x, y, lens, safe):
         x, y = 0.0, 0.0
         for step in range(1, CONTINUATION_STEPS + 1):
             part = step / CONTINUATION_STEPS
             x, y = _newton(x, y, part * xd, part * yd, lens)
+        if not _on_branch(x, y, lens, safe):
+            x, y = np.nan, np.nan
     return x, y
 
 
@@ -128,6 +172,7 @@ def project_all(points, lens, pixels):  # type: ignore[no-untyped-def]
 @njit(cache=True, parallel=True)
 def normalize_all(pixels, lens, normalized):  # type: ignore[no-untyped-def]
     """Undistort (n, 2) pixels to normalised coordinates."""
+    safe = safe_radius(lens)
     for i in prange(len(pixels)):
-        x, y = normalize_pixel(pixels[i, 0], pixels[i, 1], lens)
+        x, y = normalize_pixel(pixels[i, 0], pixels[i, 1], lens, safe)
         normalized[i, 0], normalized[i, 1] = x, y

@@ -62,7 +62,7 @@ def _decode(path: Path, data: bytes) -> NDArray[Any]:
         try:
             return np.asarray(tifffile.imread(io.BytesIO(data)))
         except Exception as problem:  # noqa: BLE001  (tifffile raises many kinds)
-            raise ImageError(f"{unreadable}decoded: {problem}") from None
+            raise ImageError(f"{unreadable}decoded: {problem}. Copy it again") from None
     try:
         image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     except cv2.error as problem:
@@ -77,7 +77,8 @@ def _to_grey(path: Path, image: NDArray[Any], channel: Channel) -> Grey:
         return image
     if image.ndim != 3 or image.shape[2] not in (1, 3, 4):
         raise ImageError(
-            f"{path}: expected one grey or three colour channels, found shape {image.shape}"
+            f"{path}: expected one grey or three colour channels, found shape {image.shape}. "
+            "Convert the image"
         )
     if image.shape[2] == 1:
         return image[..., 0]

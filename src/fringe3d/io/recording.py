@@ -44,6 +44,10 @@ def read_scan(
     ------
     PlanError, ImageError, RigError
     """
+    if not path.exists():
+        raise PlanError(
+            f"{path}: expected a scan folder or a scan file, found neither. Check the path"
+        )
     file = path / "scan.toml" if path.is_dir() else path
     if path.is_dir() and not file.is_file():
         raise PlanError(
@@ -219,17 +223,11 @@ def _stack(
             f"{files[0].parent}: camera '{camera.name}': bit_depth = {table.bit_depth} was "
             f"declared, but no grey value exceeds {brightest}. Correct bit_depth, or the exposure"
         )
-    saturation = table.saturation_dn if table.saturation_dn is not None else float(top)
-    if not table.black_level_dn < saturation:
-        raise PlanError(
-            f"{camera.name}: black_level_dn = {table.black_level_dn:g} must lie below "
-            f"saturation_dn = {saturation:g}"
-        )
     return ImageStack(
         images=np.stack(pictures),
         plan=plan,
         device_name=camera.name,
-        saturation_dn=saturation,
+        saturation_dn=table.saturation,
         black_level_dn=table.black_level_dn,
         noise=table.noise.model() if table.noise else None,
     )
@@ -257,3 +255,16 @@ def _require_fit(scan: Scan, rig_file: Path | None) -> None:
                 f"{camera.n_rows} pixels, but the images have {stack.shape[1]} x {stack.shape[0]}. "
                 "Is this the rig of another recording?"
             )
+
+
+def image_size(images: Path, camera: dict[str, object], /) -> tuple[int, int]:
+    """Return (width, height) of the first image of a ``[[cameras]]`` entry."""
+    entry = CameraTable.model_validate(camera)
+    found = _matches(images, entry, entry.first_index)
+    if not found:
+        raise ImageError(
+            f"{images}: camera '{entry.name}': expected image {entry.first_index} of "
+            f"'{entry.images}', found none"
+        )
+    first = read_image(found[0])
+    return first.shape[1], first.shape[0]

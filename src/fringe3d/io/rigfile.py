@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 import numpy as np
 import tomlkit
-from pydantic import Field
+from pydantic import Field, field_validator
 
 from fringe3d.errors import RigError
 from fringe3d.io.toml import StrictModel, read_toml
@@ -66,6 +66,13 @@ class CylinderTable(StrictModel):
     axis: Vector3
     radius_mm: float
     height_mm: float
+
+    @field_validator("axis")
+    @classmethod
+    def _has_direction(cls, axis: Vector3) -> Vector3:
+        if not any(axis):
+            raise ValueError("expected a direction")
+        return axis
 
 
 class SlabTable(StrictModel):
@@ -211,6 +218,17 @@ def rig_text(rig: Rig, /) -> str:
         volume["offsets_mm"] = rig.volume.offsets_mm.tolist()
         document["volume"] = volume
     return tomlkit.dumps(document)
+
+
+def slab_text(device_name: str, depth_mm: tuple[float, float], /) -> str:
+    """Return a ``[volume]`` table for a depth range along the principal ray of a device."""
+    volume = {
+        "kind": "depth_slab",
+        "device": device_name,
+        "depth_min_mm": depth_mm[0],
+        "depth_max_mm": depth_mm[1],
+    }
+    return "\n" + tomlkit.dumps({"volume": volume})
 
 
 def _trimmed(device: Device) -> list[float]:

@@ -220,6 +220,22 @@ class ScanTable(PlanTable):
     noise: NoiseTable | None = None
     cameras: Annotated[list[CameraTable], Field(min_length=1)]
 
+    @property
+    def saturation(self) -> float:
+        """Return the grey value from which on pixels are saturated, DN."""
+        top = float(2**self.bit_depth - 1)
+        return top if self.saturation_dn is None else self.saturation_dn
+
+    @model_validator(mode="after")
+    def _grey_values_in_order(self) -> ScanTable:
+        top = 2**self.bit_depth - 1
+        if not self.black_level_dn < self.saturation <= top:
+            raise ValueError(
+                f"expected black_level_dn < saturation_dn <= {top} (bit_depth = {self.bit_depth}), "
+                f"found {self.black_level_dn:g} and {self.saturation:g}"
+            )
+        return self
+
 
 def read_scan_table(path: Path, /) -> ScanTable:
     """Read and check a scan file."""
@@ -229,7 +245,7 @@ def read_scan_table(path: Path, /) -> ScanTable:
     if table.image_indices is not None and len(table.image_indices) != n_images:
         raise PlanError(
             f"{path}: image_indices: expected {n_images} numbers, one for each pattern of the "
-            f"sequence, found {len(table.image_indices)}"
+            f"sequence, found {len(table.image_indices)}. Correct one of them"
         )
     for camera in table.cameras:
         if camera.files is not None and len(camera.files) != n_images:
@@ -239,7 +255,7 @@ def read_scan_table(path: Path, /) -> ScanTable:
             )
     names = [camera.name for camera in table.cameras]
     if len(set(names)) < len(names):
-        raise PlanError(f"{path}: cameras: expected different names, found {names}")
+        raise PlanError(f"{path}: cameras: expected different names, found {names}. Rename one")
     return table
 
 
@@ -254,10 +270,15 @@ def read_plan(path: Path, /) -> PatternPlan:
 
 
 def _require_plan(path: Path, table: PlanTable) -> None:
+    for number, entry in enumerate(table.sequence):
+        try:
+            entry.patterns()
+        except ValueError as problem:
+            raise PlanError(f"{path}: sequence[{number}]: {problem}. Correct it") from None
     try:
         table.plan()
     except ValueError as problem:
-        raise PlanError(f"{path}: {problem}") from None
+        raise PlanError(f"{path}: {problem}. Correct the sequence") from None
 
 
 def plan_text(plan: PatternPlan, /, *, title: str = "") -> str:
@@ -277,8 +298,9 @@ def toml_text(table: PlanTable, /) -> str:
 
 
 def sequence_tables(plan: PatternPlan, /) -> list[SequenceTable]:
-    """Describe a plan by as few ``[[sequence]]`` entries as there are sets of images."""
-    return [_table(list(run)) for _, run in itertools.groupby(plan.patterns, key=_belongs_to)]
+    """Describe a plan by few ``[[sequence]]`` entries: one for each regular set of images."""
+    runs = [list(run) for _, run in itertools.groupby(plan.patterns, key=_belongs_to)]
+    return [table for run in runs for table in _tables(run)]
 
 
 def _belongs_to(pattern: Pattern) -> tuple[object, ...]:
@@ -293,8 +315,8 @@ def _belongs_to(pattern: Pattern) -> tuple[object, ...]:
             return ("unused",)
 
 
-def _table(run: list[Pattern]) -> SequenceTable:
-    """Return the first description that yields the run again."""
+def _tables(run: list[Pattern]) -> list[SequenceTable]:
+    """Return the first description that yields the run again; else one for each image."""
     candidates: list[SequenceTable]
     match run[0]:
         case Fringe() as first:
@@ -305,7 +327,10 @@ def _table(run: list[Pattern]) -> SequenceTable:
             candidates = [LightTable(kind="light") if level else DarkTable(kind="dark")]
         case _:
             candidates = [UnusedTable(kind="unused", count=len(run))]
-    return next(table for table in candidates if _same(table.patterns(), run))
+    whole = [table for table in candidates if _same(table.patterns(), run)]
+    if not whole and len(run) == 1:
+        raise PlanError(f"plan: expected light and dark as uniform images, found {run[0]}")
+    return whole[:1] or [table for pattern in run for table in _tables([pattern])]
 
 
 def _fringe_tables(first: Fringe, shifts: list[float]) -> list[SequenceTable]:

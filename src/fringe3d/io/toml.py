@@ -13,6 +13,9 @@ from fringe3d.errors import Fringe3DError
 
 Schema = TypeVar("Schema", bound="StrictModel")
 
+MAX_SHOWN = 80
+"""Characters of a wrong value that a message repeats."""
+
 
 class StrictModel(BaseModel):
     """A table in a file: unknown keys, NaN and infinity are errors."""
@@ -31,29 +34,82 @@ def read_toml(path: Path, schema: type[Schema], error: type[Fringe3DError], /) -
     except (OSError, UnicodeDecodeError) as problem:
         raise error(f"{path}: cannot be read: {problem}. Check the file") from None
     except tomllib.TOMLDecodeError as problem:
-        raise error(f"{path}: expected TOML, but {problem}. Mend that line") from None
+        raise error(f"{path}: expected TOML, found a mistake: {problem}. Mend that line") from None
     try:
         return schema.model_validate(table)
     except ValidationError as problem:
-        raise error(f"{path}: {_first_problem(problem, schema)}") from None
+        raise error(f"{path}: {first_problem(problem, schema, table)}") from None
 
 
-def _first_problem(problem: ValidationError, schema: type[BaseModel]) -> str:
-    """Say the first problem; an unknown key first, for it explains a missing one."""
+def first_problem(problem: ValidationError, schema: type[BaseModel], table: dict[str, Any]) -> str:
+    """Say the first problem: another kind of file, an unknown key (it explains a missing one)."""
     errors = problem.errors(include_url=False)
-    first = next((e for e in errors if e["type"] == "extra_forbidden"), errors[0])
-    where = ".".join(str(part) for part in first["loc"])
-    if first["type"] == "extra_forbidden":
+    first = min(errors, key=lambda e: (e["loc"] != ("format",), e["type"] != "extra_forbidden"))
+    kind, loc, found = first["type"], first["loc"], first["input"]
+    where = _place(loc, table)
+    if kind == "extra_forbidden":
         known = _keys(schema)
-        close = difflib.get_close_matches(str(first["loc"][-1]), known, n=1)
+        close = difflib.get_close_matches(str(loc[-1]), known, n=1)
         hint = f"Did you mean '{close[0]}'?" if close else f"Known keys: {', '.join(sorted(known))}"
         return f"unknown key '{where}'. {hint}"
-    if first["type"] == "missing":
-        return f"the key '{where}' is missing. Add it"
+    if kind == "missing" and isinstance(loc[-1], int):
+        where = _place(loc[:-1], table)
+        return f"{where}: expected at least {loc[-1] + 1} entries, found {len(found)}. Correct it"
+    if kind in ("missing", "union_tag_not_found"):
+        key = where if kind == "missing" else f"{where}.kind"
+        return f"the key '{key}' is missing. Add it"
     message = str(first["msg"]).removeprefix("Value error, ")
-    found = first.get("input")
-    shown = "" if isinstance(found, dict) else f", found {found!r}"
-    return f"{where}: {message}{shown}"
+    if kind in _EXPECTED:
+        message = f"expected {_EXPECTED[kind].format(**first.get('ctx', {}))}"
+    found = first.get("ctx", {}).get("tag", found)
+    shown = "" if isinstance(found, dict) else f", found {_short(found)}"
+    return f"{where}: {message}{shown}. Correct it"
+
+
+_EXPECTED = {
+    "int_type": "a whole number",
+    "int_parsing": "a whole number",
+    "int_from_float": "a whole number",
+    "float_type": "a number",
+    "float_parsing": "a number",
+    "finite_number": "a finite number",
+    "greater_than": "a number above {gt}",
+    "greater_than_equal": "a number of at least {ge}",
+    "less_than_equal": "a number of at most {le}",
+    "string_type": "a text in quotes",
+    "list_type": "a list",
+    "tuple_type": "a list",
+    "model_type": "a table",
+    "model_attributes_type": "a table",
+    "too_short": "at least {min_length} entries",
+    "too_long": "at most {max_length} entries",
+    "literal_error": "{expected}",
+    "union_tag_invalid": "one of the kinds {expected_tags}",
+}
+"""What a value should have been, for the schema's kinds of error."""
+
+
+def _place(loc: tuple[int | str, ...], table: dict[str, Any]) -> str:
+    """Return a place in the file as a reader would name it: ``devices[1] 'c2': focal_px[0]``."""
+    where = ""
+    item: Any = table
+    for part in loc:
+        if isinstance(part, int):
+            item = item[part] if isinstance(item, list) and part < len(item) else None
+            where += f"[{part}]"
+            if isinstance(item, dict) and isinstance(item.get("name"), str):
+                where += f" '{item['name']}': "
+        elif isinstance(item, dict) and part == item.get("kind"):
+            continue  # the schema's name of the table, which is not in the file
+        else:
+            item = item.get(part) if isinstance(item, dict) else None
+            where += f"{'.' if where and not where.endswith(' ') else ''}{part}"
+    return where.removesuffix(": ")
+
+
+def _short(value: Any) -> str:
+    text = repr(value)
+    return text if len(text) <= MAX_SHOWN else f"{text[:MAX_SHOWN]}..."
 
 
 def _keys(schema: type[BaseModel]) -> set[str]:

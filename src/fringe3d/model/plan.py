@@ -63,6 +63,7 @@ class GrayBit:
         _require(1 <= self.n_bits <= MAX_GRAY_BITS, f"1 <= n_bits <= {MAX_GRAY_BITS}", self)
         _require(0 <= self.bit < self.n_bits, "0 <= bit < n_bits", self)
         _require(np.isfinite(self.cell_px) and self.cell_px > 0, "cell_px > 0", self)
+        _require(np.isfinite(self.angle), "a finite angle", self)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

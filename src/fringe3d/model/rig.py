@@ -28,6 +28,9 @@ class Rig:
     def __post_init__(self) -> None:
         if not self.cameras:
             raise ValueError("rig: expected at least one device with role 'camera', found none")
+        for camera in self.cameras:
+            if camera.role != "camera":
+                raise ValueError(f"rig: '{camera.name}' stands as camera but is a projector")
         names = [device.name for device in self.devices]
         if len(set(names)) < len(names):
             raise ValueError(f"rig: expected a different name for each device, found {names}")

@@ -70,6 +70,10 @@ class MeasuringVolume:
             )
         center = np.asarray(center_mm, np.float64)
         direction = np.asarray(axis, np.float64)
+        if not np.linalg.norm(direction) > 0:
+            raise ValueError(
+                f"volume: axis: expected a non-zero vector, found {direction.tolist()}"
+            )
         direction = direction / np.linalg.norm(direction)
         _, _, basis = np.linalg.svd(direction[None])
         angles = 2 * np.pi * np.arange(CYLINDER_SIDES) / CYLINDER_SIDES
