@@ -134,8 +134,7 @@ def _orders_by_code(
     best = min(
         range(len(maps)), key=lambda i: _suitability(tables[i], maps[i].period_px, code.cell_px)
     )
-    at_wrap = code.cell_px > 0.75 * maps[best].period_px
-    return order_from_code(maps[best], words, tables[best], edges_at_wrap=at_wrap)
+    return order_from_code(maps[best], words, tables[best])
 
 
 def _suitability(table: OrderTable, period_px: float, cell_px: float) -> tuple[bool, float, float]:

@@ -21,6 +21,9 @@ PHASE_BINS = 16
 MAX_MISREAD = 0.25
 """Periods by which a code edge may seem to be displaced: half the smallest cell."""
 
+EDGE_REACH = 0.25
+"""Part of a cell (at most a period) around its edges in which a bit may be misread."""
+
 TWO_PI = 2 * np.pi
 
 
@@ -54,11 +57,15 @@ class OrderTable:
     Parameters
     ----------
     by_word : (2**n, PHASE_BINS) int32; class, or `NO_ORDER` where word and phase contradict
+    alternative : (2**n, PHASE_BINS) int32
+        Class that would show this word if one bit was misread at its edge nearby; `NO_ORDER`
+        where there is none, or no other.
     naive : (2**n,) int32; class that the word alone would give
     classes : OrderClasses
     """
 
     by_word: NDArray[np.int32]
+    alternative: NDArray[np.int32]
     naive: NDArray[np.int32]
     classes: OrderClasses
 
@@ -71,8 +78,9 @@ def order_table(
     Any code fits that is a function of the projector coordinate: full, over-determined
     (complementary), reduced cyclic, or with bits left out. Orders that show the same words
     everywhere form one class. Where the phase says that an edge of the code is near, the word
-    from across that edge is accepted, too: so a bit that was misread at its edge does no harm,
-    provided that the code has no edge where the phase wraps (cells of half a period).
+    from across that edge is accepted, too: so a bit that was misread at its edge does no harm.
+    Where that word has a meaning of its own (a plain code has its edges where the phase wraps;
+    the low bits of a reflected code repeat mirrored) it is kept as the alternative.
 
     Parameters
     ----------
@@ -91,15 +99,20 @@ def order_table(
         np.int32,
     )
     by_word = np.full((1 << len(gray_set.bits), PHASE_BINS), NO_ORDER, np.int32)
+    alternative = by_word.copy()
     bins = np.arange(PHASE_BINS)
+    reach = EDGE_REACH * min(gray_set.cell_px / period_px, 1.0)
     for shift in _nearest_first():
         seen = expected_words(gray_set, w + shift * period_px)
         for name, row in zip(class_of_order, seen, strict=True):
             empty = by_word[row, bins] == NO_ORDER
             by_word[row[empty], bins[empty]] = name
+            other = (by_word[row, bins] != name) & (alternative[row, bins] == NO_ORDER)
+            if abs(shift) <= reach:
+                alternative[row[other], bins[other]] = name
     naive = np.full(len(by_word), NO_ORDER, np.int32)
     naive[words[::-1].ravel()] = np.repeat(class_of_order[::-1], PHASE_BINS)
-    return OrderTable(by_word, naive, OrderClasses(int(orders[0]), class_of_order))
+    return OrderTable(by_word, alternative, naive, OrderClasses(int(orders[0]), class_of_order))
 
 
 def _nearest_first() -> list[float]:
@@ -107,19 +120,17 @@ def _nearest_first() -> list[float]:
     return [0.0, *(sign * step for step in steps for sign in (-1.0, 1.0))]
 
 
-def order_from_code(
-    wrapped: WrappedPhaseMap, words: CodeWords, table: OrderTable, /, *, edges_at_wrap: bool
-) -> PhaseMap:
+def order_from_code(wrapped: WrappedPhaseMap, words: CodeWords, table: OrderTable, /) -> PhaseMap:
     """Combine wrapped phase and code words.
+
+    Next to code edges that leave an alternative, the nearest pixel without one decides: the
+    absolute phase is continuous.
 
     Parameters
     ----------
     wrapped : WrappedPhaseMap
     words : CodeWords
     table : OrderTable
-    edges_at_wrap : bool
-        The code has edges where the phase wraps (plain code): orders next to such an edge are
-        then corrected by the nearest pixel in the middle of a period.
 
     Returns
     -------
@@ -131,8 +142,8 @@ def order_from_code(
     bins = np.where(valid, phase * (PHASE_BINS / TWO_PI), 0).astype(np.int32) % PHASE_BINS
     order = np.where(valid, table.by_word[words.word, bins], NO_ORDER).astype(np.int32)
     naive = table.naive[words.word]
-    if edges_at_wrap:
-        order = _mend_at_wrap(order, phase, table)
+    alternative = np.where(valid, table.alternative[words.word, bins], NO_ORDER).astype(np.int32)
+    order = _mend_at_edges(order, alternative, phase, table.classes)
     known = order != NO_ORDER
     rejection = wrapped.rejection.copy()
     reject(rejection, valid & ~known, Rejection.INCONSISTENT_CODE)
@@ -174,30 +185,27 @@ def phase_map(
     )
 
 
-def _mend_at_wrap(
-    order: NDArray[np.int32], phase: NDArray[np.float32], table: OrderTable
+def _mend_at_edges(
+    order: NDArray[np.int32],
+    alternative: NDArray[np.int32],
+    phase: NDArray[np.float32],
+    classes: OrderClasses,
 ) -> NDArray[np.int32]:
-    """Correct orders within a quarter period of a wrap by the nearest safe pixel.
-
-    A bit misread at its edge gives the order across that edge: at the start of a period the one
-    before, at its end the one behind. Only these two corrections are made.
-    """
-    known = order != NO_ORDER
-    at_start, at_end = known & (phase < np.pi / 2), known & (phase > 1.5 * np.pi)
-    safe = known & ~at_start & ~at_end
-    if not safe.any():
+    """Take the alternative where it continues the phase of the nearest safe pixel."""
+    unsafe = alternative != NO_ORDER
+    safe = (order != NO_ORDER) & ~unsafe
+    if not (safe.any() and unsafe.any()):
         return order
     rows, cols = ndimage.distance_transform_edt(~safe, return_distances=False, return_indices=True)
-    turns = np.rint((phase[rows, cols] - np.where(known, phase, 0)) / TWO_PI).astype(np.int32)
-    after, before = _neighbour_classes(table.classes, 1), _neighbour_classes(table.classes, -1)
-    first = table.classes.first_order
+    rows, cols = rows[unsafe], cols[unsafe]
+    turns = np.rint((phase[rows, cols] - phase[unsafe]) / TWO_PI).astype(np.int32)
     expected = order[rows, cols]
-    expected_index = expected - first
-    expected = np.where(turns == 1, after[expected_index], expected)
-    expected = np.where(turns == -1, before[expected_index], expected)
-    inside = np.where(known, order - first, 0)
-    mended = (at_start & (expected == after[inside])) | (at_end & (expected == before[inside]))
-    return np.where(mended & (expected != NO_ORDER), expected, order).astype(np.int32)
+    index = expected - classes.first_order
+    for step in (1, -1):
+        expected = np.where(turns == step, _neighbour_classes(classes, step)[index], expected)
+    mended = order.copy()
+    mended[unsafe] = np.where(expected == alternative[unsafe], expected, order[unsafe])
+    return mended
 
 
 def _neighbour_classes(orders: OrderClasses, step: int) -> NDArray[np.int32]:
