@@ -5,6 +5,7 @@ These tests do not prove absolute accuracy: the calibrations are as given.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import cv2
@@ -96,13 +97,13 @@ def test_bust_matches_equal_an_independent_search_in_rectified_images(
     assert bust_points.points is not None
     assert bust_points.matches is not None
     main1, main2 = (camera.directions[0].main for camera in bust_points.phases)
-    in_view, columns, project_c2 = rectified_search(
+    in_view, columns, rectified_column = rectified_search(
         *bust.rig.cameras, main1.absolute_phase, main2.absolute_phase
     )
     accepted = bust_points.points.is_valid
     assert (accepted & in_view).sum() >= 0.95 * in_view.sum()
     both = accepted & in_view
-    found = project_c2(bust_points.matches.pixels[both])[:, 0]
+    found = rectified_column(bust_points.matches.pixels[both])
     # The brute force searches the nearest row: half a row off, fringes tilted by 10 degrees
     # displace the crossing by up to 0.1 px.
     assert np.median(np.abs(found - columns[both])) < 0.1
@@ -114,8 +115,12 @@ def rectified_search(
     c2: Device,
     phase1: NDArray[np.float64],
     phase2: NDArray[np.float64],
-) -> tuple[NDArray[np.bool_], NDArray[np.float64], object]:
-    """Return which pixels of C1 have their phase in C2's row, and the rectified column there."""
+) -> tuple[
+    NDArray[np.bool_], NDArray[np.float64], Callable[[NDArray[np.float64]], NDArray[np.float64]]
+]:
+    """Return which pixels of C1 have their phase in C2's row, the rectified column there, and
+    the function that gives the rectified column of pixels of C2.
+    """
     pose = c2.device_from_world @ c1.device_from_world.inverse()
     size = (c1.n_cols, c1.n_rows)
     d1, d2 = c1.distortion[:5], c2.distortion[:5]
@@ -124,9 +129,9 @@ def rectified_search(
         pose.translation.reshape(3, 1),
     )  # fmt: skip
 
-    def project_c2(pixels: NDArray[np.float64]) -> NDArray[np.float64]:
+    def rectified_column(pixels: NDArray[np.float64]) -> NDArray[np.float64]:
         flat = cv2.undistortPoints(pixels.reshape(-1, 1, 2), c2.camera_matrix, d2, R=r2, P=p2)
-        return np.asarray(flat.reshape(-1, 2))
+        return np.asarray(flat.reshape(-1, 2)[:, 0])
 
     maps = cv2.initUndistortRectifyMap(c2.camera_matrix, d2, r2, p2, size, cv2.CV_32FC1)
     rows2 = cv2.remap(phase2.astype(np.float32), maps[0], maps[1], cv2.INTER_LINEAR,
@@ -149,7 +154,7 @@ def rectified_search(
         a, b = left[pick, at], right[pick, at]
         in_view[chosen[has, 0], chosen[has, 1]] = True
         columns[chosen[has, 0], chosen[has, 1]] = (at + a / np.where(a == b, 1, a - b))[has]
-    return in_view, columns, project_c2
+    return in_view, columns, rectified_column
 
 
 @pytest.mark.parametrize("gray_bits", [5, 3])
@@ -173,9 +178,9 @@ def test_shell_agrees_with_the_cloud_of_its_author(captures: Path, number: str) 
     result = measure(read(captures, f"sltk-shell-{number}", "sltk-shell"))
     assert result.points is not None
     assert result.matches is not None
-    theirs = np.asarray(
-        trimesh.load(captures / "sltk-shell" / f"scan_{number}_cloud.ply").vertices
-    ) * [1, -1, -1]
+    cloud = trimesh.load(captures / "sltk-shell" / f"scan_{number}_cloud.ply")
+    assert isinstance(cloud, trimesh.PointCloud)
+    theirs = np.asarray(cloud.vertices) * [1, -1, -1]
     ours = result.points.points_mm[result.points.is_valid]
     assert len(ours) > 95_000
     for a, b in ((ours, theirs), (theirs, ours)):

@@ -22,6 +22,9 @@ EPIPOLAR_WARNING_PX, EPIPOLAR_ERROR_PX = 0.5, 3.0
 TEXTURE_REACH = 5
 """Shifts up to this part of the image are tried."""
 
+TEXTURE_STEP_PX = 3
+"""The texture is smoothed by 1 px; its correlation is about 5 px wide."""
+
 TEXTURE_MIN_PEAK = 0.25
 TEXTURE_MAX_SHIFT_PX = 3
 TEXTURE_CLEAR = 0.12
@@ -36,6 +39,9 @@ LOST_WARNING, LOST_SEVERE = 0.3, 0.8
 
 MIN_YIELD = 0.002
 """Fewer points per decoded pixel are strays, whatever the reason."""
+
+MENDED_WARNING, MENDED_ERROR = 0.08, 0.2
+"""Sharp codes need 1 to 2 %; phases in the wrong direction or half a period off, half."""
 
 GAMMA_DISAGREEMENT_PX = 0.3
 GAMMA_EXPLAINED = 0.4
@@ -68,9 +74,29 @@ def check_phases(cameras: Sequence[CameraPhases], /) -> list[Finding]:
     findings: list[Finding] = []
     for camera in cameras:
         for direction in camera.directions:
+            findings += _code_findings(direction.main)
             findings += [_period_finding(direction, other) for other in direction.others]
             findings += _harmonic_findings(direction)
     return findings
+
+
+def _code_findings(phases: PhaseMap) -> list[Finding]:
+    """Judge how often the phase had to correct the code."""
+    good = int((phases.rejection == 0).sum())
+    if not good or not phases.n_mended:
+        return []
+    share = phases.n_mended / good
+    where = f"camera '{phases.device_name}', {axis_name(phases.angle)}"
+    name = f"{phases.device_name}_{axis_name(phases.angle)}_mended_part"
+    text = f"{where}: the phase corrected the code of {share:.1%} of the pixels by one cell"
+    if share <= MENDED_WARNING:
+        return [Finding("ok", name, share, text)]
+    level: Literal["warning", "error"] = "error" if share > MENDED_ERROR else "warning"
+    cure = (
+        "phase and code do not belong together. Check shift_direction, phase_offset_deg, "
+        "first_coordinate and the order of the steps in the sequence"
+    )
+    return [Finding(level, name, share, f"{text}; {cure}")]
 
 
 def period_disagreement(a: PhaseMap, b: PhaseMap, /) -> NDArray[np.float64]:
@@ -285,6 +311,8 @@ def texture_profile(
     normal = _across_epipolar(c1, c2, matches)
     reach = max(c2.n_rows, c2.n_cols) // TEXTURE_REACH
     shifts = np.arange(-reach, reach + 1)
+    fine = np.abs(shifts) <= 2 * TEXTURE_MAX_SHIFT_PX
+    shifts = shifts[fine | (shifts % TEXTURE_STEP_PX == 0)]
     correlation = np.array(
         [_correlation(texture1, _sample(texture2, pixels + shift * normal)) for shift in shifts]
     )

@@ -176,11 +176,21 @@ def keep_images(stack: ImageStack, options: MeasureOptions, /) -> ImageStack:
         for fringe_set in stack.plan.fringe_sets:
             kept -= set(fringe_set.indices) - set(_steps(fringe_set.indices, options.n_shifts))
     if options.gray_bits is not None:
+        _require_bits(stack, options.gray_bits)
         for code in stack.plan.gray_sets:
             for bit, *places in zip(code.bits, code.indices, code.inverses, strict=True):
                 if bit >= options.gray_bits:
                     kept -= set(places)
     return stack.subset(sorted(kept))
+
+
+def _require_bits(stack: ImageStack, gray_bits: int) -> None:
+    recorded = max((len(code.bits) for code in stack.plan.gray_sets), default=0)
+    if not 0 <= gray_bits <= recorded:
+        raise MethodError(
+            f"--gray-bits: expected 0 to {recorded} of the {recorded} recorded code images, found "
+            f"{gray_bits}"
+        )
 
 
 def _steps(indices: Sequence[int], n_shifts: int) -> list[int]:

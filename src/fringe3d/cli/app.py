@@ -19,6 +19,7 @@ app = App(
     name="fringe3d",
     version=__version__,
     help="Fringe-projection 3D measurement with few images. Lengths in mm, pixels from 0.",
+    suppress_keyboard_interrupt=False,  # main() says that nothing was written
 )
 
 Json = Annotated[bool, Parameter(name="--json", negative=(), help="Print the result as JSON.")]

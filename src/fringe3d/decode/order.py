@@ -60,7 +60,7 @@ class OrderTable:
     alternative : (2**n, PHASE_BINS) int32
         Class that would show this word if one bit was misread at its edge nearby; `NO_ORDER`
         where there is none, or no other.
-    naive : (2**n,) int32; class that the word alone would give
+    naive : (2**n,) int32; class that the word alone would give; `NO_ORDER` for none or several
     classes : OrderClasses
     """
 
@@ -110,9 +110,20 @@ def order_table(
             other = (by_word[row, bins] != name) & (alternative[row, bins] == NO_ORDER)
             if abs(shift) <= reach:
                 alternative[row[other], bins[other]] = name
-    naive = np.full(len(by_word), NO_ORDER, np.int32)
-    naive[words[::-1].ravel()] = np.repeat(class_of_order[::-1], PHASE_BINS)
+    naive = _naive(words, class_of_order, len(by_word))
     return OrderTable(by_word, alternative, naive, OrderClasses(int(orders[0]), class_of_order))
+
+
+def _naive(
+    words: NDArray[np.int32], class_of_order: NDArray[np.int32], n_words: int
+) -> NDArray[np.int32]:
+    """Return the class that a word alone means; `NO_ORDER` where it means several."""
+    lowest = np.full(n_words, np.iinfo(np.int32).max, np.int32)
+    highest = np.full(n_words, np.iinfo(np.int32).min, np.int32)
+    names = np.repeat(class_of_order, PHASE_BINS)
+    np.minimum.at(lowest, words.ravel(), names)
+    np.maximum.at(highest, words.ravel(), names)
+    return np.where(lowest == highest, lowest, np.int32(NO_ORDER))
 
 
 def _nearest_first() -> list[float]:
@@ -143,11 +154,13 @@ def order_from_code(wrapped: WrappedPhaseMap, words: CodeWords, table: OrderTabl
     order = np.where(valid, table.by_word[words.word, bins], NO_ORDER).astype(np.int32)
     naive = table.naive[words.word]
     alternative = np.where(valid, table.alternative[words.word, bins], NO_ORDER).astype(np.int32)
+    looked_up = order
     order = _mend_at_edges(order, alternative, phase, table.classes)
     known = order != NO_ORDER
     rejection = wrapped.rejection.copy()
     reject(rejection, valid & ~known, Rejection.INCONSISTENT_CODE)
-    n_mended = int((known & (naive != order)).sum())
+    corrected = ((naive != NO_ORDER) & (naive != order)) | (order != looked_up)
+    n_mended = int((known & corrected).sum())
     return phase_map(wrapped, phase, order, table.classes, rejection, n_mended=n_mended)
 
 

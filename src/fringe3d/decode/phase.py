@@ -28,6 +28,10 @@ ROUNDING_DN = 0.02
 NOISE_SAMPLE = 100_000
 """Pixels that give the noise to 0.4 %."""
 
+MIN_STEPS_FOR_RESIDUAL = 8
+"""With fewer steps the residual holds the second or third harmonic (gamma), which is no noise: it
+is then believed only if it is smaller than the pixel-to-pixel noise."""
+
 MAX_HARMONIC = 4
 ROWS_AT_ONCE = 128
 
@@ -63,7 +67,7 @@ def wrapped_phase(
     Model ``I_n = A + C cos(shift_n) + S sin(shift_n)``, ``phase = atan2(S, C)``,
     ``B = hypot(C, S)``. For N equal steps ``sigma_phase = sqrt(2 / N) sigma_I / B`` [1]_.
     ``sigma_I`` comes from the stack's noise model or, without one, from the residuals of the fit
-    (N > 3) or the pixel-to-pixel noise of one image (N = 3).
+    (N >= 8), the pixel-to-pixel noise of one image (N = 3), or the smaller of both.
 
     References
     ----------
@@ -174,11 +178,13 @@ def _grey_variance(
         return variance.astype(np.float32)
     surplus = len(_leftover(fringe_set))
     lit = modulation > MIN_MODULATION_OF_RANGE * stack.saturation_dn
-    quantisation = 1 / 12
+    estimates = []
     if surplus and lit.any():
-        typical = _robust_sigma(np.sqrt(residual[lit]), surplus) ** 2
-    else:
-        typical = _pixel_noise(stack.images[fringe_set.indices[0]], lit) ** 2
+        estimates.append(_robust_sigma(np.sqrt(residual[lit]), surplus))
+    if len(fringe_set.indices) < MIN_STEPS_FOR_RESIDUAL:
+        estimates += _pixel_noise(stack.images[fringe_set.indices[0]], lit)
+    quantisation = 1 / 12
+    typical = min(estimates, default=0.0) ** 2
     return np.full(stack.shape, max(typical, quantisation), np.float32)
 
 
@@ -196,8 +202,10 @@ def _robust_sigma(lengths: NDArray[np.float32], degrees: int) -> float:
     return float(edge / np.sqrt(stats.chi2.ppf(kept.mean(), degrees)))
 
 
-def _pixel_noise(image: NDArray[np.unsignedinteger], lit: NDArray[np.bool_]) -> float:
+def _pixel_noise(image: NDArray[np.unsignedinteger], lit: NDArray[np.bool_]) -> list[float]:
     """Estimate the noise of one image, DN, from its second differences along both axes.
+
+    One figure, or none where there are too few pixels.
 
     The mask of J. Immerkaer, "Fast noise variance estimation", CVIU 64 (1996), cancels planes;
     its response to white noise of unit variance is 6. The smaller half of them ignores edges.
@@ -206,9 +214,7 @@ def _pixel_noise(image: NDArray[np.unsignedinteger], lit: NDArray[np.bool_]) -> 
     along = grey[:, :-2] - 2 * grey[:, 1:-1] + grey[:, 2:]
     response = np.abs(along[:-2] - 2 * along[1:-1] + along[2:])
     inner = lit[1:-1, 1:-1]
-    if not inner.any():
-        return 0.0
-    return _robust_sigma(response[inner] / 6, 1)
+    return [_robust_sigma(response[inner] / 6, 1)] if inner.any() else []
 
 
 def _harmonic_ratio(

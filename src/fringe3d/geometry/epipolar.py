@@ -160,6 +160,7 @@ def sheet_crossing(
     target = position_px - half - axis @ projector.center_px
     with np.errstate(divide="ignore", invalid="ignore"):
         t = (base[:2] @ scale - base[2] * target) / (along[:, 2] * target - along[:, :2] @ scale)
+    t = np.where(np.isfinite(t), t, np.nan)  # infinite where the ray is parallel to the sheet
 
     def position(t: NDArray[np.float64]) -> NDArray[np.float64]:
         return np.asarray(project(projector, origin + t[:, None] * directions) @ axis + half)
@@ -173,6 +174,7 @@ def sheet_crossing(
         slope = (position(t + step) - position(t - step)) / (2 * step)
         with np.errstate(divide="ignore", invalid="ignore"):
             t = t - error / slope
+        t = np.where(np.isfinite(t), t, np.nan)
     met = (np.abs(error) <= 1e-4) & (t > 0)
     return np.asarray(np.where(met, t, np.nan))
 

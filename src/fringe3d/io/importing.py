@@ -40,7 +40,13 @@ def parse_sequence(text: str, /) -> dict[str, Any]:
 
 def _value(key: str, text: str) -> int | float | str | list[float]:
     if "," in text:
-        return [float(part) for part in text.split(",")]
+        try:
+            return [float(part) for part in text.split(",")]
+        except ValueError:
+            raise PlanError(
+                f"--sequence: {key}: expected numbers with commas between, found '{text}'. "
+                "Correct it"
+            ) from None
     if re.fullmatch(r"[-+]?\d+", text) and not key.endswith(("_px", "_deg", "_coordinate")):
         return int(text)
     try:

@@ -64,10 +64,12 @@ def read_opencv_calibration(
         raise RigError(f"{path}: expected a calibration file, found none. Check the path")
     try:
         storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ)
-    except (cv2.error, SystemError) as problem:
-        raise RigError(f"{path}: expected OpenCV YAML, XML or JSON: {problem}") from None
-    if not storage.isOpened():
-        raise RigError(f"{path}: expected OpenCV YAML, XML or JSON, found something else")
+    except (cv2.error, SystemError):
+        storage = None
+    if storage is None or not storage.isOpened():
+        raise RigError(
+            f"{path}: expected OpenCV YAML, XML or JSON, found something else. Check the file"
+        )
     keys = keys or _recognise(path, storage)
     pose = RigidTransform(
         rotation=_matrix(path, storage, keys.rotation),

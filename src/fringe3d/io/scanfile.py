@@ -14,6 +14,7 @@ from fringe3d.errors import PlanError
 from fringe3d.io.images import Channel
 from fringe3d.io.toml import StrictModel, read_toml
 from fringe3d.model import Fringe, GrayBit, NoiseModel, Pattern, PatternPlan, Uniform, Unused
+from fringe3d.model.plan import MAX_GRAY_BITS
 
 FORMAT: Literal["fringe3d-scan/1"] = "fringe3d-scan/1"
 
@@ -83,7 +84,7 @@ class GrayTable(_Striped):
 
     kind: Literal["gray"]
     cell_px: PositiveFloat
-    n_bits: PositiveInt
+    n_bits: Annotated[int, Field(ge=1, le=MAX_GRAY_BITS)]
     bits: list[int] | None = None
     order: Literal["msb-first", "lsb-first"] = "msb-first"
     inverses: Literal["none", "interleaved", "after", "only"] = "none"

@@ -63,7 +63,8 @@ def first_problem(problem: ValidationError, schema: type[BaseModel], table: dict
         message = f"expected {_EXPECTED[kind].format(**first.get('ctx', {}))}"
     found = first.get("ctx", {}).get("tag", found)
     shown = "" if isinstance(found, dict) else f", found {_short(found)}"
-    return f"{where}: {message}{shown}. Correct it"
+    to_do = "Is this another kind of file?" if loc == ("format",) else "Correct it"
+    return f"{where}{': ' if where else ''}{message}{shown}. {to_do}"
 
 
 _EXPECTED = {

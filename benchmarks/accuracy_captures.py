@@ -1,0 +1,86 @@
+#!/usr/bin/env python3
+"""Measure the recordings by others and print the table of docs/captures.md.
+
+Usage: FRINGE3D_DATA=FOLDER python benchmarks/accuracy_captures.py
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+
+from fringe3d.health import period_disagreement
+from fringe3d.io.recording import read_scan
+from fringe3d.model.rejection import count_by_reason
+from fringe3d.pipeline import Measurement, MeasureOptions, measure
+
+ROOT = Path(__file__).parent.parent
+DATA = Path(os.environ.get("FRINGE3D_DATA", ROOT.parent / "shared" / "data"))
+
+RUNS = [
+    *(("slmaster-relief", MeasureOptions(n_shifts=n)) for n in (12, 6, 4, 3)),
+    *(("slmaster-relief", MeasureOptions(gray_bits=n, depth_mm=(680.0, 800.0))) for n in (5, 3, 1)),
+    ("slmaster-bust-rendered", MeasureOptions()),
+    *(
+        ("slmaster-bust-rendered", MeasureOptions(gray_bits=n, depth_mm=(500.0, 680.0)))
+        for n in (6, 5, 4, 3, 2)
+    ),
+    ("slmaster-bust-rendered", MeasureOptions(n_shifts=4)),
+    ("sltk-shell-0020", MeasureOptions()),
+    ("sltk-shell-0021", MeasureOptions()),
+    ("phaseshift-bricks", MeasureOptions()),
+]
+
+
+def main() -> None:
+    """Print one row for each run."""
+    if not DATA.is_dir():
+        sys.exit(f"{DATA}: expected the folder of the captures; set FRINGE3D_DATA")
+    print("| recording | options | method | points | z 0.1-99.9 %, mm | sigma, mm | mended | s |")
+    print("|---|---|---|---|---|---|---|---|")
+    for name, options in RUNS:
+        scan = read_scan(
+            ROOT / "examples" / "captures" / f"{name}.toml",
+            images=DATA / name.removesuffix("-0020").removesuffix("-0021"),
+        )
+        start = time.perf_counter()
+        result = measure(scan, options)
+        print(row(name, options, result, time.perf_counter() - start))
+        for finding in result.findings:
+            print(f"<!-- {name}: {finding.level}: {finding.text} -->")
+        print(f"<!-- {name}: {count_by_reason(result.rejection)} -->", flush=True)
+
+
+def row(name: str, options: MeasureOptions, result: Measurement, seconds: float) -> str:
+    """Return one row of the table."""
+    given = [
+        f"{n} steps" if (n := options.n_shifts) else "",
+        f"{options.gray_bits} code images" if options.gray_bits is not None else "",
+        "depth {:g}:{:g}".format(*options.depth_mm) if options.depth_mm else "",
+    ]
+    said = ", ".join(filter(None, given)) or "all images"
+    if result.points is None:
+        typical = [
+            np.nanmedian(np.abs(period_disagreement(d.main, other)))
+            for d in result.phases[0].directions
+            for other in d.others
+        ]
+        depth = "periods disagree by " + " / ".join(f"{t:.1f}" for t in typical) + " px"
+        n_points, sigma = int((result.rejection == 0).sum()), float("nan")
+    else:
+        good = result.points.is_valid
+        low, high = np.percentile(result.points.points_mm[good, 2], [0.1, 99.9])
+        depth, n_points = f"{low:.1f} to {high:.1f}", result.points.n_points
+        sigma = float(np.median(result.points.sigma_mm[good]))
+    return (
+        f"| {name} | {said} | {result.method} | {n_points:,} | {depth} | {sigma:.3f} "
+        f"| {result.main.n_mended:,} | {seconds:.1f} |"
+    )
+
+
+if __name__ == "__main__":
+    main()
