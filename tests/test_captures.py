@@ -97,8 +97,9 @@ def test_bust_matches_equal_an_independent_search_in_rectified_images(
     assert bust_points.points is not None
     assert bust_points.matches is not None
     main1, main2 = (camera.directions[0].main for camera in bust_points.phases)
+    c1, c2 = bust.rig.cameras
     in_view, columns, rectified_column = rectified_search(
-        *bust.rig.cameras, main1.absolute_phase, main2.absolute_phase
+        c1, c2, main1.absolute_phase, main2.absolute_phase
     )
     accepted = bust_points.points.is_valid
     assert (accepted & in_view).sum() >= 0.95 * in_view.sum()
