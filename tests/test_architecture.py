@@ -22,7 +22,7 @@ ALLOWED: dict[str, set[str]] = {
     "correspond": NOUNS | {"geometry", "patterns"},
     "triangulate": NOUNS | {"geometry"},
     # Health judges the stages before it, so it may know their results and the geometry.
-    "health": NOUNS | {"geometry", "decode"},
+    "health": NOUNS | {"geometry", "decode", "patterns"},
     "simulate": NOUNS | {"geometry", "patterns"},
     "io": NOUNS | {"patterns"},
     "pipeline": NOUNS | {"geometry", "decode", "correspond", "triangulate", "health"},

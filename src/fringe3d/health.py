@@ -11,8 +11,16 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from fringe3d.decode import CameraPhases, DirectionPhases
-from fringe3d.geometry import epipolar_curve, epipolar_segment, pixel_grid
-from fringe3d.model import Correspondences, Device, PhaseMap, PointMap, Rejection
+from fringe3d.geometry import epipolar_curve, epipolar_segment, pixel_grid, project
+from fringe3d.model import (
+    Correspondences,
+    Device,
+    PhaseMap,
+    PointMap,
+    Rejection,
+    WrappedPhaseMap,
+)
+from fringe3d.patterns import across
 
 TWO_PI = 2 * np.pi
 
@@ -46,6 +54,14 @@ MENDED_WARNING, MENDED_ERROR = 0.08, 0.2
 GAMMA_DISAGREEMENT_PX = 0.3
 GAMMA_EXPLAINED = 0.4
 HARMONIC_WARNING = 0.05
+RIPPLE_WARNING_RAD = 0.06
+"""A hundredth of a period; the same as a second harmonic of 6 % with three steps."""
+
+MIN_RIPPLE_PIXELS = 10_000
+"""Fewer pixels do not cover the phases evenly."""
+
+AMBIGUOUS_WARNING, AMBIGUOUS_REFUSED = 0.05, 0.4
+"""Part of the decoded pixels that the code leaves several points."""
 SAMPLE = 40_000
 MAD_TO_SIGMA = 1.4826
 FAR_MM = 1e5
@@ -163,6 +179,7 @@ def _harmonic_findings(direction: DirectionPhases) -> list[Finding]:
     for wrapped in direction.wrapped:
         ratio = wrapped.harmonic_ratio
         if not np.isfinite(ratio):
+            findings += _ripple_findings(wrapped)
             continue
         name = f"{wrapped.device_name}_{axis_name(wrapped.angle)}_{wrapped.period_px:g}px_harmonic"
         text = (
@@ -179,6 +196,30 @@ def _harmonic_findings(direction: DirectionPhases) -> list[Finding]:
     return findings
 
 
+def _ripple_findings(wrapped: WrappedPhaseMap) -> list[Finding]:
+    """Judge a nonlinear response from how often each phase occurs.
+
+    With few steps the harmonics cannot be seen, but they ripple the phase, ``a sin(N phi)``, and
+    a surface under many fringes then shows some phases more often than others:
+    ``|mean exp(i N phi)| = N a / 2`` for small a.
+    """
+    phase = wrapped.phase[np.isfinite(wrapped.phase)].astype(np.float64)
+    if len(phase) < MIN_RIPPLE_PIXELS:
+        return []
+    n = wrapped.n_shifts
+    ripple = 2 * float(np.abs(np.exp(1j * n * phase).mean())) / n
+    axis = axis_name(wrapped.angle)
+    name = f"{wrapped.device_name}_{axis}_{wrapped.period_px:g}px_ripple_rad"
+    text = (
+        f"camera '{wrapped.device_name}', {axis}: the phase of the fringe of "
+        f"{wrapped.period_px:g} px ripples by about {ripple:.2f} rad, {n} times per period"
+    )
+    if ripple <= RIPPLE_WARNING_RAD:
+        return [Finding("ok", name, ripple, text)]
+    cure = "the gamma of projector or camera is not corrected. Linearise it, or use more steps"
+    return [Finding("warning", name, ripple, f"{text}; {cure}")]
+
+
 def _sigma_px(phases: PhaseMap) -> float:
     good = phases.rejection == 0
     return float(np.median(phases.phase_std[good])) * phases.period_px / TWO_PI
@@ -191,18 +232,47 @@ def axis_name(angle: float, /) -> str:
 
 def check_epipolar(matches: Correspondences, /) -> list[Finding]:
     """Judge the distance of decoded projector points from their epipolar curves."""
-    good = np.isfinite(matches.epipolar_residual_px)
+    return _residual_findings(
+        matches.epipolar_residual_px,
+        "epipolar_residual_px",
+        f"epipolar residual in '{matches.device_name}'",
+    )
+
+
+def check_trinocular(points: PointMap, phases: PhaseMap, projector: Device, /) -> list[Finding]:
+    """Compare points of two cameras with what the projector, the third device, says.
+
+    Fringes of one direction show no error between two cameras; but the points must lie in the
+    projector where their phase says. A code that leaves several orders is compared by its
+    wrapped phase.
+    """
+    good = points.is_valid
+    turns = phases.phase[good] / TWO_PI
+    pixels = project(projector, points.points_mm[good])
+    position = across(phases.angle, pixels[:, 0], pixels[:, 1])
+    residual = position / phases.period_px - turns
+    if phases.is_absolute:
+        residual -= phases.order_class[good]
+    else:
+        residual -= np.rint(residual)
+    residual_map = np.full(good.shape, np.nan)
+    residual_map[good] = residual * phases.period_px
+    text = f"trinocular residual (points of two cameras in '{projector.name}')"
+    return _residual_findings(residual_map, "trinocular_residual_px", text)
+
+
+def _residual_findings(residual_map: NDArray[np.floating], name: str, what: str) -> list[Finding]:
+    """Judge a map of residuals, projector px, that vanish for a perfect calibration."""
+    good = np.isfinite(residual_map)
     if not good.any():
         return []
-    residual = matches.epipolar_residual_px[good].astype(np.float64)
+    residual = residual_map[good].astype(np.float64)
     typical = float(np.median(np.abs(residual)))
     noise = float(np.median(np.abs(residual - _smooth_part(residual, np.argwhere(good)))))
     text = (
-        f"epipolar residual in '{matches.device_name}': median |r| {typical:.2f} px, median r "
-        f"{float(np.median(residual)):+.2f} px; noise {noise:.2f} px, the rest is a smooth pattern "
-        "of the calibration"
+        f"{what}: median |r| {typical:.2f} px, median r {float(np.median(residual)):+.2f} px; "
+        f"noise {noise:.2f} px, the rest is a smooth pattern of the calibration"
     )
-    name = "epipolar_residual_px"
     level: Literal["ok", "warning", "error"] = "ok"
     if typical > EPIPOLAR_ERROR_PX:
         level = "error"
@@ -249,6 +319,29 @@ def check_yield(points: PointMap, /) -> list[Finding]:
     if lost <= LOST_SEVERE:
         cause = "check calibration, measuring volume and plan"
     return [Finding("warning", "lost_part", lost, f"{text}; {cause}")]
+
+
+def check_ambiguity(matches: Correspondences, phases: PhaseMap, /) -> list[Finding]:
+    """Judge whether the code is long enough for the measuring volume.
+
+    Where many pixels are ambiguous, the accepted ones among them are doubtful, too: their true
+    point may be hidden and a wrong one alone be left.
+    """
+    decoded = phases.rejection == 0
+    if not decoded.any():
+        return []
+    ambiguous = (matches.rejection & np.uint16(Rejection.AMBIGUOUS)) != 0
+    share = float(ambiguous[decoded].mean())
+    n_classes, n_orders = len(np.unique(phases.class_of_order)), len(phases.class_of_order)
+    text = f"{share:.1%} of the decoded pixels fit several points"
+    if share <= AMBIGUOUS_WARNING:
+        return [Finding("ok", "ambiguous_part", share, text)]
+    level: Literal["warning", "error"] = "error" if share > AMBIGUOUS_REFUSED else "warning"
+    text += (
+        f": the code tells {n_classes} of {n_orders} periods apart, too few for this depth range. "
+        "Keep more bits, or give a narrower depth range (--depth MIN:MAX)"
+    )
+    return [Finding(level, "ambiguous_part", share, text)]
 
 
 def check_texture(

@@ -13,8 +13,16 @@ from numpy.typing import NDArray
 
 from fringe3d.correspond import match_cameras, match_projector
 from fringe3d.decode import CameraPhases, decode
-from fringe3d.errors import CalibrationError, EmptyResultError, MethodError
-from fringe3d.health import Finding, check_epipolar, check_phases, check_texture, check_yield
+from fringe3d.errors import CalibrationError, EmptyResultError, Fringe3DError, MethodError
+from fringe3d.health import (
+    Finding,
+    check_ambiguity,
+    check_epipolar,
+    check_phases,
+    check_texture,
+    check_trinocular,
+    check_yield,
+)
 from fringe3d.model import (
     Correspondences,
     Device,
@@ -146,7 +154,8 @@ def measure(
             decode(stack, min_modulation_dn=options.min_modulation_dn) for stack in stacks
         )
         findings = check_phases(phases)
-    method = _settle(method, options, phases[0].directions[0].main)
+    main = phases[0].directions[0].main
+    method = _settle(method, options, main)
     if scan.rig is None:
         return _finish(Measurement(method="phase", phases=phases, findings=tuple(findings)), clock)
 
@@ -154,6 +163,7 @@ def measure(
     volume = _volume(scan.rig, camera, options)
     with clock("finding correspondences"):
         matches = _match(phases, camera, other, volume)
+        findings += _refuse(check_ambiguity(matches, main), MethodError)
     with clock("triangulating"):
         points = triangulate(
             matches, camera, other, volume=volume, max_epipolar_px=_epipolar_limit(matches)
@@ -161,9 +171,11 @@ def measure(
     with clock("checking"):
         findings += check_epipolar(matches) + check_yield(points)
         if other.role == "camera":
-            main1, main2 = (p.directions[0].main for p in phases[:2])
-            findings += check_texture(matches, main1, main2, camera, other)
-        points = remove_repeated(_clean(points, options, phases[0].directions[0].main), matches)
+            main2 = phases[1].directions[0].main
+            findings += check_texture(matches, main, main2, camera, other)
+            if scan.rig.projector is not None:
+                findings += check_trinocular(points, main, scan.rig.projector)
+        points = remove_repeated(_clean(points, options, main), matches)
     result = Measurement(method=method, phases=phases, matches=matches, points=points,
                          findings=tuple(findings))  # fmt: skip
     return _finish(result, clock)
@@ -301,9 +313,7 @@ def _clean(points: PointMap, options: MeasureOptions, main: PhaseMap) -> PointMa
 
 def _finish(result: Measurement, clock: _Clock) -> Measurement:
     """Refuse a result that contradicts the calibration, or that is empty."""
-    errors = [finding.text for finding in result.findings if finding.level == "error"]
-    if errors:
-        raise CalibrationError(". ".join(errors))
+    _refuse(result.findings, CalibrationError)
     if not (result.rejection == 0).any():
         counts = count_by_reason(result.rejection)
         raise EmptyResultError(
@@ -312,6 +322,14 @@ def _finish(result: Measurement, clock: _Clock) -> Measurement:
             "Check exposure, plan, calibration and measuring volume"
         )
     return replace(result, seconds=clock.seconds)
+
+
+def _refuse(findings: Sequence[Finding], error: type[Fringe3DError]) -> Sequence[Finding]:
+    """Return the findings, unless one of them is an error."""
+    errors = [finding.text for finding in findings if finding.level == "error"]
+    if errors:
+        raise error(". ".join(errors))
+    return findings
 
 
 def _counted(counts: dict[str, int]) -> str:

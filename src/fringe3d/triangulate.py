@@ -130,7 +130,9 @@ def remove_isolated(
 
 
 def remove_edges(points: PointMap, /, *, max_gap_mm: float) -> PointMap:
-    """Reject points with a missing or far neighbour (8 around) as EDGE.
+    """Reject points within two pixels of a missing or far neighbour as EDGE.
+
+    One pixel mixes the light of two surfaces; the next interpolates with it.
 
     Parameters
     ----------

@@ -85,7 +85,7 @@ def _point_panels(result: Measurement) -> list[Drawer]:
         _map(f"image: mean brightness of '{main.device_name}', DN", main.offset, "gray"),
         _map("modulation (fringe contrast), DN", main.modulation, "magma"),
         wrapped,
-        _map("fringe order", order, "nipy_spectral"),
+        _map("code cell" if main.is_quantised else "fringe order", order, "nipy_spectral"),
         _relief("depth z, mm (shaded)", depth),
         _reasons(result.rejection),
     ]
