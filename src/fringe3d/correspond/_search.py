@@ -26,6 +26,11 @@ LENS_STEPS = 16
 """Steps between exact evaluations of the lens while scanning; linear between them (error below
 0.005 px for strong lenses). The point found is refined on the exact curve."""
 
+PHASE_TOLERANCE = 1e-7
+MIN_RISE = 1e-9
+MAX_REFINEMENT_STEPS = 2.0
+MIN_DEPTH = 1e-6
+
 FOUND, NONE, SEVERAL, NO_VIEW = 0, 1, 2, 3
 
 
@@ -91,6 +96,78 @@ def _far_off(x, y, phi1, order1, phase2, order2):  # type: ignore[no-untyped-def
     return TWO_PI - difference > MAX_JUMP  # the pixel lies in the neighbouring period
 
 
+@njit(cache=True, error_model="numpy")
+def _segment(base, along, near, far):  # type: ignore[no-untyped-def]
+    """Return the ends of the segment on the undistorted plane of C2, where it is straight.
+
+    NaN where it is not wholly in front of C2.
+    """
+    z0 = base[2] + near * along[2]
+    z1 = along[2] if math.isinf(far) else base[2] + far * along[2]
+    if not (near < far and z0 > MIN_DEPTH and z1 > MIN_DEPTH):
+        return np.nan, np.nan, np.nan, np.nan
+    ax, ay = (base[0] + near * along[0]) / z0, (base[1] + near * along[1]) / z0
+    if math.isinf(far):
+        return ax, ay, along[0] / z1, along[1] / z1
+    return ax, ay, (base[0] + far * along[0]) / z1, (base[1] + far * along[1]) / z1
+
+
+@njit(cache=True, error_model="numpy")
+def _point(s, line, lens2):  # type: ignore[no-untyped-def]
+    """Return the pixel of C2 at part s of the segment."""
+    ax, ay, bx, by = line
+    return project_normalized(ax + s * (bx - ax), ay + s * (by - ay), lens2)
+
+
+@njit(cache=True, error_model="numpy")
+def _scan(line, n, step_px, phi1, order1, lens2, phase2, order2):  # type: ignore[no-untyped-def]
+    """Follow the segment in n steps; return crossings, and place and rise of the first."""
+    hits, where, rise = 0, 0.0, 0.0
+    last_hit, r_before = -1e9, np.nan
+    x0, y0, x1, y1 = 0.0, 0.0, 0.0, 0.0
+    for k in range(n + 1):
+        if k % LENS_STEPS == 0:
+            x0, y0 = _point(k / n, line, lens2)
+            x1, y1 = _point((k + LENS_STEPS) / n, line, lens2)
+        part = (k % LENS_STEPS) / LENS_STEPS
+        x, y = x0 + part * (x1 - x0), y0 + part * (y1 - y0)
+        r = np.nan
+        if not _far_off(x, y, phi1, order1, phase2, order2):
+            r, _ = _difference(x, y, phi1, order1, phase2, order2)
+        if r_before * r <= 0 and abs(r - r_before) < MAX_JUMP and r != 0:
+            at = (k - 1 + r_before / (r_before - r)) / n
+            x, y = _point(at, line, lens2)
+            _, same = _difference(x, y, phi1, order1, phase2, order2)
+            if same:
+                if hits == 0 or (k - last_hit) * step_px > SAME_POINT_PX:
+                    hits += 1
+                    where, rise = at, r - r_before
+                last_hit = k
+        r_before = r
+    return hits, where, rise
+
+
+@njit(cache=True, error_model="numpy")
+def _refine(where, rise, line, n, phi1, order1, lens2, phase2, order2):  # type: ignore[no-untyped-def]
+    """Return the crossing on the exact curve, and the rise of the phase over one step."""
+    x, y = _point(where - 0.5 / n, line, lens2)
+    r0, _ = _difference(x, y, phi1, order1, phase2, order2)
+    x, y = _point(where + 0.5 / n, line, lens2)
+    r1, _ = _difference(x, y, phi1, order1, phase2, order2)
+    if not math.isnan(r1 - r0):
+        rise = r1 - r0
+    s, r = where, np.nan
+    for _ in range(REFINEMENTS):
+        x, y = _point(s, line, lens2)
+        r, _ = _difference(x, y, phi1, order1, phase2, order2)
+        if math.isnan(r) or abs(rise) < MIN_RISE or abs(r) < PHASE_TOLERANCE:
+            break
+        s = s - r / (rise * n)
+    if math.isnan(r) or abs(s - where) * n > MAX_REFINEMENT_STEPS:
+        s = where  # the linear interpolation of the scan
+    return s, rise
+
+
 @njit(cache=True, parallel=True, error_model="numpy")
 def search(  # type: ignore[no-untyped-def]
     phase1, order1, base, along, near, far, lens2, phase2, order2, found, state
@@ -99,84 +176,24 @@ def search(  # type: ignore[no-untyped-def]
 
     phase1 (n,) rad, order1 (n,): pixels of C1; base (3,), along (n, 3): their rays in the frame
     of C2, mm; near, far (n,): the segment, mm; phase2, order2 (row, col): maps of C2. Writes
-    found (n, 4): x, y, distance along the ray, phase gradient along the curve (rad / px);
-    state (n,): FOUND, NONE, SEVERAL or NO_VIEW.
+    found (n, 3): x, y, phase gradient along the curve (rad / px); state (n,): FOUND, NONE,
+    SEVERAL or NO_VIEW.
     """
     for i in prange(len(phase1)):
         state[i] = NO_VIEW
         found[i, :] = np.nan
-        if not near[i] < far[i]:
-            continue
-        # The segment is straight on the undistorted plane of C2: from a to b.
-        bx, by, bz = base[0], base[1], base[2]
-        dx, dy, dz = along[i, 0], along[i, 1], along[i, 2]
-        z0 = bz + near[i] * dz
-        if z0 < 1e-6:
-            continue
-        ax, ay = (bx + near[i] * dx) / z0, (by + near[i] * dy) / z0
-        if math.isinf(far[i]):
-            if dz <= 1e-9:
-                continue
-            ex, ey = dx / dz, dy / dz
-        else:
-            z1 = bz + far[i] * dz
-            if z1 < 1e-6:
-                continue
-            ex, ey = (bx + far[i] * dx) / z1, (by + far[i] * dy) / z1
-        x0, y0 = project_normalized(ax, ay, lens2)
-        x1, y1 = project_normalized(ex, ey, lens2)
+        line = _segment(base, along[i], near[i], far[i])
+        x0, y0 = _point(0.0, line, lens2)
+        x1, y1 = _point(1.0, line, lens2)
         length = math.hypot(x1 - x0, y1 - y0)
         if not length < MAX_STEPS * STEP_PX:
             continue
         n = max(2, int(length / STEP_PX) + 1)
-        hits, where, rise, last_hit, r_before = 0, 0.0, 0.0, -1e9, np.nan
-        for k in range(n + 1):
-            if k % LENS_STEPS == 0:
-                s0, s1 = k / n, (k + LENS_STEPS) / n
-                x0, y0 = project_normalized(ax + s0 * (ex - ax), ay + s0 * (ey - ay), lens2)
-                x1, y1 = project_normalized(ax + s1 * (ex - ax), ay + s1 * (ey - ay), lens2)
-            part = (k % LENS_STEPS) / LENS_STEPS
-            x, y = x0 + part * (x1 - x0), y0 + part * (y1 - y0)
-            r = np.nan
-            if not _far_off(x, y, phase1[i], order1[i], phase2, order2):
-                r, _ = _difference(x, y, phase1[i], order1[i], phase2, order2)
-            crosses = r_before * r <= 0 and abs(r - r_before) < MAX_JUMP
-            if crosses and r != 0:
-                at = (k - 1 + r_before / (r_before - r)) / n
-                x, y = project_normalized(ax + at * (ex - ax), ay + at * (ey - ay), lens2)
-                _, same = _difference(x, y, phase1[i], order1[i], phase2, order2)
-                if same:
-                    if hits == 0 or (k - last_hit) * length / n > SAME_POINT_PX:
-                        hits += 1
-                        where, rise = at, r - r_before
-                    last_hit = k
-            r_before = r
+        hits, where, rise = _scan(line, n, length / n, phase1[i], order1[i], lens2, phase2, order2)
         if hits != 1:
             state[i] = NONE if hits == 0 else SEVERAL
             continue
-
-        # Regula falsi by secants on the exact curve, within one step of the crossing.
-        s0, s1 = where - 0.5 / n, where + 0.5 / n
-        r0, r1 = np.nan, np.nan
-        x, y = project_normalized(ax + s0 * (ex - ax), ay + s0 * (ey - ay), lens2)
-        r0, _ = _difference(x, y, phase1[i], order1[i], phase2, order2)
-        x, y = project_normalized(ax + s1 * (ex - ax), ay + s1 * (ey - ay), lens2)
-        r1, _ = _difference(x, y, phase1[i], order1[i], phase2, order2)
-        slope = (rise if math.isnan(r1 - r0) else r1 - r0) * n / length
-        s, r = where, 0.0
-        for _ in range(REFINEMENTS):
-            x, y = project_normalized(ax + s * (ex - ax), ay + s * (ey - ay), lens2)
-            r, _ = _difference(x, y, phase1[i], order1[i], phase2, order2)
-            if math.isnan(r) or math.isnan(slope) or abs(slope) < 1e-9 or abs(r) < 1e-7:
-                break
-            s = s - r / (slope * length)
-        if math.isnan(r) or abs(s - where) * length > 1.0:
-            s = where  # the plain linear interpolation of the scan
-        nx, ny = ax + s * (ex - ax), ay + s * (ey - ay)
-        x, y = project_normalized(nx, ny, lens2)
-        if abs(nx * dz - dx) > abs(ny * dz - dy):
-            t = (bx - nx * bz) / (nx * dz - dx)
-        else:
-            t = (by - ny * bz) / (ny * dz - dy)
-        found[i, 0], found[i, 1], found[i, 2], found[i, 3] = x, y, t, slope
+        s, rise = _refine(where, rise, line, n, phase1[i], order1[i], lens2, phase2, order2)
+        found[i, 0], found[i, 1] = _point(s, line, lens2)
+        found[i, 2] = rise * n / length
         state[i] = FOUND

@@ -63,7 +63,7 @@ def match_cameras(
     seen = frustum(camera2)
     bounds = seen if volume is None else volume.intersection(seen)
     near, far = depth_interval(origin, directions, bounds)
-    found = np.empty((len(near), 4))
+    found = np.empty((len(near), 3))
     state = np.empty(len(near), np.int8)
     to_c2 = camera2.device_from_world
     _search.search(
@@ -120,7 +120,7 @@ def _correspondences(
     good = rejection == 0
     pixels = np.full((*valid.shape, 2), np.nan)
     slope = np.full(valid.shape, np.nan)
-    pixels[valid], slope[valid] = found[:, :2], found[:, 3]
+    pixels[valid], slope[valid] = found[:, :2], found[:, 2]
     pixels[~good] = np.nan
     sigma = np.full(valid.shape, np.nan, np.float32)
     col, row = np.rint(pixels[good]).astype(int).T

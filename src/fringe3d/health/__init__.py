@@ -1,0 +1,23 @@
+"""Check that the images agree with the calibration and with each other."""
+
+from fringe3d.health.finding import Finding
+from fringe3d.health.geometry import (
+    check_ambiguity,
+    check_epipolar,
+    check_trinocular,
+    check_yield,
+)
+from fringe3d.health.response import axis_name, check_phases, period_disagreement
+from fringe3d.health.texture import check_texture
+
+__all__ = [
+    "Finding",
+    "axis_name",
+    "check_ambiguity",
+    "check_epipolar",
+    "check_phases",
+    "check_texture",
+    "check_trinocular",
+    "check_yield",
+    "period_disagreement",
+]

@@ -1,0 +1,141 @@
+"""Checks of the calibration by residuals, yield and ambiguity."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fringe3d.geometry import project
+from fringe3d.health.finding import Finding, Level
+from fringe3d.model import Correspondences, Device, PhaseMap, PointMap, Rejection
+from fringe3d.patterns import across
+
+TWO_PI = 2 * np.pi
+MAD_TO_SIGMA = 1.4826
+SAMPLE = 40_000
+
+EPIPOLAR_WARNING_PX, EPIPOLAR_ERROR_PX = 0.5, 3.0
+"""Good rigs stay below 0.3 px; 3 px is no calibration of these images."""
+
+LOST_WARNING, LOST_SEVERE = 0.3, 0.8
+"""Part of the decoded pixels for which the geometry finds no point."""
+
+MIN_YIELD = 0.002
+"""Fewer points per decoded pixel are strays, whatever the reason."""
+
+AMBIGUOUS_WARNING, AMBIGUOUS_REFUSED = 0.05, 0.4
+"""Part of the decoded pixels that the code leaves several points."""
+
+
+def check_epipolar(matches: Correspondences, /) -> list[Finding]:
+    """Judge the distance of decoded projector points from their epipolar curves."""
+    return _residual_findings(
+        matches.epipolar_residual_px,
+        "epipolar_residual_px",
+        f"epipolar residual in '{matches.device_name}'",
+    )
+
+
+def check_trinocular(points: PointMap, phases: PhaseMap, projector: Device, /) -> list[Finding]:
+    """Compare points of two cameras with what the projector, the third device, says.
+
+    Fringes of one direction show no error between two cameras; but the points must lie in the
+    projector where their phase says. A code that leaves several orders is compared by its
+    wrapped phase.
+    """
+    good = points.is_valid
+    turns = phases.phase[good] / TWO_PI
+    pixels = project(projector, points.points_mm[good])
+    position = across(phases.angle, pixels[:, 0], pixels[:, 1])
+    residual = position / phases.period_px - turns
+    if phases.is_absolute:
+        residual -= phases.order_class[good]
+    else:
+        residual -= np.rint(residual)
+    residual_map = np.full(good.shape, np.nan)
+    residual_map[good] = residual * phases.period_px
+    text = f"trinocular residual (points of two cameras in '{projector.name}')"
+    return _residual_findings(residual_map, "trinocular_residual_px", text)
+
+
+def _residual_findings(residual_map: NDArray[np.floating], name: str, what: str) -> list[Finding]:
+    """Judge a map of residuals, projector px, that vanish for a perfect calibration."""
+    good = np.isfinite(residual_map)
+    if not good.any():
+        return []
+    residual = residual_map[good].astype(np.float64)
+    typical = float(np.median(np.abs(residual)))
+    noise = float(np.median(np.abs(residual - _smooth_part(residual, np.argwhere(good)))))
+    text = (
+        f"{what}: median |r| {typical:.2f} px, median r {float(np.median(residual)):+.2f} px; "
+        f"noise {noise:.2f} px, the rest is a smooth pattern of the calibration"
+    )
+    level: Level = "ok"
+    if typical > EPIPOLAR_ERROR_PX:
+        level = "error"
+        text += (
+            ". The calibration does not belong to these images: check the rig file (another set? "
+            "R inverted? rows and columns exchanged?)"
+        )
+    elif typical > EPIPOLAR_WARNING_PX:
+        level = "warning"
+        text += f". Good rigs stay below {EPIPOLAR_WARNING_PX} px: calibrate again"
+    return [Finding(level, name, typical, text)]
+
+
+def _smooth_part(values: NDArray[np.float64], places: NDArray[np.intp]) -> NDArray[np.float64]:
+    """Return a cubic surface through values at image places (n, 2), robust against strays."""
+    y, x = (places / np.maximum(places.max(axis=0), 1) * 2 - 1).T
+    model = np.stack([x**i * y**j for i in range(4) for j in range(4 - i)], axis=1)
+    limit = 5 * MAD_TO_SIGMA * np.median(np.abs(values - np.median(values)))
+    kept = np.abs(values - np.median(values)) <= limit
+    kept[kept] = np.arange(kept.sum()) % max(1, int(kept.sum()) // SAMPLE) == 0
+    coefficients, *_ = np.linalg.lstsq(model[kept], values[kept], rcond=None)
+    return np.asarray(model @ coefficients)
+
+
+def check_yield(points: PointMap, /) -> list[Finding]:
+    """Judge how many of the pixels that could have a point the geometry could place."""
+    undecoded = Rejection.SATURATED | Rejection.LOW_MODULATION | Rejection.INCONSISTENT_CODE
+    decoded = (points.rejection & np.uint16(undecoded)) == 0
+    considered = decoded & ((points.rejection & np.uint16(Rejection.OUTSIDE_VOLUME)) == 0)
+    if not considered.any():
+        return []
+    lost = float((points.rejection[considered] != 0).mean())
+    found = float((points.rejection[decoded] == 0).mean())
+    cause = (
+        "the calibration (another set? R inverted?), the measuring volume or the plan does not "
+        "belong to these images"
+    )
+    if found < MIN_YIELD:
+        text = f"only {found:.2%} of the decoded pixels gave a point; {cause}"
+        return [Finding("error", "lost_part", 1 - found, text)]
+    text = f"{lost:.1%} of the decoded pixels have no possible point"
+    if lost <= LOST_WARNING:
+        return [Finding("ok", "lost_part", lost, text)]
+    if lost <= LOST_SEVERE:
+        cause = "check calibration, measuring volume and plan"
+    return [Finding("warning", "lost_part", lost, f"{text}; {cause}")]
+
+
+def check_ambiguity(matches: Correspondences, phases: PhaseMap, /) -> list[Finding]:
+    """Judge whether the code is long enough for the measuring volume.
+
+    Where many pixels are ambiguous, the accepted ones among them are doubtful, too: their true
+    point may be hidden and a wrong one alone be left.
+    """
+    decoded = phases.rejection == 0
+    if not decoded.any():
+        return []
+    ambiguous = (matches.rejection & np.uint16(Rejection.AMBIGUOUS)) != 0
+    share = float(ambiguous[decoded].mean())
+    n_classes, n_orders = len(np.unique(phases.class_of_order)), len(phases.class_of_order)
+    text = f"{share:.1%} of the decoded pixels fit several points"
+    if share <= AMBIGUOUS_WARNING:
+        return [Finding("ok", "ambiguous_part", share, text)]
+    level: Level = "error" if share > AMBIGUOUS_REFUSED else "warning"
+    text += (
+        f": the code tells {n_classes} of {n_orders} periods apart, too few for this depth range. "
+        "Keep more bits, or give a narrower depth range (--depth MIN:MAX)"
+    )
+    return [Finding(level, "ambiguous_part", share, text)]

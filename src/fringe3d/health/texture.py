@@ -1,0 +1,140 @@
+"""A check of two cameras by the texture of the surface."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from fringe3d.geometry import epipolar_curve, epipolar_segment, pixel_grid
+from fringe3d.health.finding import Finding
+from fringe3d.model import Correspondences, Device, PhaseMap
+
+SAMPLE = 40_000
+FAR_MM = 1e5
+
+TEXTURE_REACH = 5
+"""Shifts up to this part of the image are tried."""
+
+TEXTURE_STEP_PX = 3
+"""The texture is smoothed by 1 px; its correlation is about 5 px wide."""
+
+TEXTURE_MIN_PEAK = 0.25
+TEXTURE_MAX_SHIFT_PX = 3
+TEXTURE_CLEAR = 0.12
+"""The peak of the texture correlation must stand out this far to accuse the calibration."""
+
+TEXTURE_MIN_SIGNAL = 4.0
+FINE_FILTER_PIXELS = 4 * np.pi
+"""Pixels that a Gaussian of 1 px averages over."""
+
+
+def check_texture(
+    matches: Correspondences, phases1: PhaseMap, phases2: PhaseMap, c1: Device, c2: Device, /
+) -> list[Finding]:
+    """Compare the texture of two cameras at phase-matched points.
+
+    Fringes of one direction show no epipolar error: a wrong calibration gives a pretty, wrong
+    cloud. But the surface itself, seen by both cameras, must agree at the matched points, and
+    disagree a few pixels beside the epipolar curve.
+    """
+    profile = texture_profile(matches, phases1, phases2, c1, c2)
+    if profile is None:
+        return []
+    shifts, correlation = profile
+    best, shift = float(correlation.max()), float(shifts[np.argmax(correlation)])
+    here = float(correlation[np.abs(shifts) <= TEXTURE_MAX_SHIFT_PX].max())
+    name = "texture_shift_px"
+    wrong = "the calibration does not belong to these images. Check the rig file"
+    if here >= TEXTURE_MIN_PEAK and best - here <= TEXTURE_CLEAR:
+        return [Finding("ok", name, shift if abs(shift) <= TEXTURE_MAX_SHIFT_PX else 0.0,
+                        "the texture of both cameras agrees at the matched points "
+                        f"(correlation {here:.2f})")]  # fmt: skip
+    if best >= TEXTURE_MIN_PEAK and best - here > TEXTURE_CLEAR:
+        return [Finding("error", name, shift, "the texture of both cameras agrees "
+                        f"{shift:+.0f} px beside the epipolar curves (correlation {best:.2f}), not "
+                        f"on them ({here:.2f}): {wrong}")]  # fmt: skip
+    if texture_signal(phases1) < TEXTURE_MIN_SIGNAL:
+        return [Finding("ok", name, float("nan"), "too little texture to check the calibration")]
+    return [Finding("warning", name, float("nan"), "the texture of both cameras does not agree at "
+                    f"the matched points (correlation {here:.2f}): {wrong}, unless the surface "
+                    "shines like a mirror")]  # fmt: skip
+
+
+def texture_signal(phases: PhaseMap, /) -> float:
+    """Return how far the texture of the surface stands out of the noise."""
+    texture = _texture(phases)
+    good = np.isfinite(texture)
+    if not good.any():
+        return 0.0
+    # sigma_A = sigma_I / sqrt(N) = sigma_phase B / sqrt(2); the filter averages 12 pixels.
+    noise = phases.phase_std[good] * phases.modulation[good] / np.sqrt(2 * FINE_FILTER_PIXELS)
+    return float(np.std(texture[good]) / np.median(noise / np.maximum(phases.offset[good], 1.0)))
+
+
+def texture_profile(
+    matches: Correspondences, phases1: PhaseMap, phases2: PhaseMap, c1: Device, c2: Device, /
+) -> tuple[NDArray[np.int64], NDArray[np.float64]] | None:
+    """Return shifts across the epipolar curves, px, and the correlation of the textures.
+
+    None where there are too few points.
+    """
+    good = np.flatnonzero(matches.rejection.ravel() == 0)
+    if len(good) < 500:
+        return None
+    good = good[:: max(1, len(good) // SAMPLE)]
+    texture1 = _texture(phases1).ravel()[good]
+    texture2 = _texture(phases2)
+    pixels = matches.pixels.reshape(-1, 2)[good]
+    normal = _across_epipolar(c1, c2, matches)
+    reach = max(c2.n_rows, c2.n_cols) // TEXTURE_REACH
+    shifts = np.arange(-reach, reach + 1)
+    fine = np.abs(shifts) <= 2 * TEXTURE_MAX_SHIFT_PX
+    shifts = shifts[fine | (shifts % TEXTURE_STEP_PX == 0)]
+    correlation = np.array(
+        [_correlation(texture1, _sample(texture2, pixels + shift * normal)) for shift in shifts]
+    )
+    return shifts, correlation
+
+
+def _texture(phases: PhaseMap) -> NDArray[np.float64]:
+    """Return the local contrast of the surface: brightness without its slow changes."""
+    lit = phases.rejection == 0
+    bright = np.where(lit, np.log(np.maximum(phases.offset, 1.0)), 0.0)
+    weight = ndimage.gaussian_filter(lit.astype(np.float64), 8.0)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        smooth = ndimage.gaussian_filter(bright, 8.0) / weight
+    fine = ndimage.gaussian_filter(bright, 1.0) / np.maximum(
+        ndimage.gaussian_filter(lit.astype(np.float64), 1.0), 1e-9
+    )
+    inner = ndimage.binary_erosion(lit, iterations=3)
+    return np.where(inner, fine - smooth, np.nan)
+
+
+def _across_epipolar(c1: Device, c2: Device, matches: Correspondences) -> NDArray[np.float64]:
+    """Return the unit normal of the epipolar curve in C2, for the middle of the matched pixels."""
+    grid = pixel_grid(c1.shape)[matches.rejection == 0]
+    middle = grid[len(grid) // 2]
+    near, far = epipolar_segment(c1, c2, middle, None)
+    curve = epipolar_curve(
+        c1, c2, middle, np.geomspace(float(near), min(float(far), FAR_MM), 3)[1:]
+    )
+    tangent = curve[1] - curve[0]
+    normal: NDArray[np.float64] = np.array([-tangent[1], tangent[0]]) / np.linalg.norm(tangent)
+    return normal if normal[1] >= 0 else -normal
+
+
+def _sample(texture: NDArray[np.float64], pixels: NDArray[np.float64]) -> NDArray[np.float64]:
+    col, row = np.rint(np.nan_to_num(pixels, nan=-1)).astype(int).T
+    inside = (row >= 0) & (row < texture.shape[0]) & (col >= 0) & (col < texture.shape[1])
+    values = np.full(len(pixels), np.nan)
+    values[inside] = texture[row[inside], col[inside]]
+    return values
+
+
+def _correlation(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
+    both = np.isfinite(a) & np.isfinite(b)
+    if both.sum() < 500:
+        return 0.0
+    x, y = a[both] - a[both].mean(), b[both] - b[both].mean()
+    return float((x @ y) / max(np.sqrt((x @ x) * (y @ y)), 1e-30))
