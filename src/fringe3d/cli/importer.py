@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -59,7 +60,7 @@ def import_recording(options: ImportOptions, reporter: Reporter, /) -> str:
         entries["rig"] = str(rig_file)
     text = scan_text(entries, images=options.images, out=options.out)
     if options.calibration is not None:
-        _write_rig(options, options.out.with_name("rig.toml"), cameras[0])
+        _write_rig(options, options.out.with_name("rig.toml"), cameras)
     write_text(options.out, text, overwrite=options.overwrite)
     return _check(options.out, reporter)
 
@@ -70,15 +71,15 @@ def _rig_file(options: ImportOptions) -> Path | None:
     return options.rig.resolve() if options.rig is not None else None
 
 
-def _write_rig(options: ImportOptions, path: Path, camera: dict[str, Any]) -> None:
+def _write_rig(options: ImportOptions, path: Path, cameras: Sequence[dict[str, Any]]) -> None:
     assert options.calibration is not None
-    keys = _keys(options.calibration_keys)
     rig = read_opencv_calibration(
         options.calibration,
-        first_size=image_size(options.images, camera),
-        second_size=options.projector_size,
-        keys=keys,
+        camera_sizes=[image_size(options.images, camera) for camera in cameras],
+        projector_size=options.projector_size,
+        keys=_keys(options.calibration_keys),
         second_from_first=not options.inverse_pose,
+        camera_names=[camera["name"] for camera in cameras],
     )
     text = rig_text(rig)
     if options.depth_mm is not None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
@@ -10,7 +12,12 @@ from fringe3d.geometry import epipolar_curve, epipolar_segment, pixel_grid
 from fringe3d.health.finding import Finding
 from fringe3d.model import Correspondences, Device, PhaseMap
 
-SAMPLE = 40_000
+TILES_PER_SIDE = 3
+MIN_TILE_POINTS = 1_000
+TILE_SAMPLE = 5_000
+MAX_WRONG_TILES = 0.25
+"""Part of the telling tiles that may lie elsewhere by chance or by repeating texture."""
+
 FAR_MM = 1e5
 
 TEXTURE_REACH = 5
@@ -36,29 +43,50 @@ def check_texture(
 
     Fringes of one direction show no epipolar error: a wrong calibration gives a pretty, wrong
     cloud. But the surface itself, seen by both cameras, must agree at the matched points, and
-    disagree a few pixels beside the epipolar curve.
+    disagree a few pixels beside the epipolar curve. Judged in tiles of the image, because a
+    turned camera may be right in the middle and wrong at the rim.
     """
-    profile = texture_profile(matches, phases1, phases2, c1, c2)
-    if profile is None:
-        return []
-    shifts, correlation = profile
-    best, shift = float(correlation.max()), float(shifts[np.argmax(correlation)])
-    here = float(correlation[np.abs(shifts) <= TEXTURE_MAX_SHIFT_PX].max())
+    tiles = texture_tiles(matches, phases1, phases2, c1, c2)
+    agree = [tile for tile in tiles if tile.agrees]
+    elsewhere = [tile for tile in tiles if tile.lies_elsewhere]
     name = "texture_shift_px"
     wrong = "the calibration does not belong to these images. Check the rig file"
-    if here >= TEXTURE_MIN_PEAK and best - here <= TEXTURE_CLEAR:
-        return [Finding("ok", name, shift if abs(shift) <= TEXTURE_MAX_SHIFT_PX else 0.0,
-                        "the texture of both cameras agrees at the matched points "
-                        f"(correlation {here:.2f})")]  # fmt: skip
-    if best >= TEXTURE_MIN_PEAK and best - here > TEXTURE_CLEAR:
-        return [Finding("error", name, shift, "the texture of both cameras agrees "
-                        f"{shift:+.0f} px beside the epipolar curves (correlation {best:.2f}), not "
-                        f"on them ({here:.2f}): {wrong}")]  # fmt: skip
-    if texture_signal(phases1) < TEXTURE_MIN_SIGNAL:
+    if len(elsewhere) > MAX_WRONG_TILES * (len(agree) + len(elsewhere)):
+        shift = float(np.median([abs(tile.best_shift) for tile in elsewhere]))
+        return [Finding("error", name, shift, f"in {len(elsewhere)} of {len(tiles)} parts of the "
+                        "image the texture of both cameras agrees not at the matched points but "
+                        f"about {shift:.0f} px beside the epipolar curves: {wrong}")]  # fmt: skip
+    if agree:
+        typical = float(np.median([tile.here for tile in agree]))
+        return [Finding("ok", name, 0.0, "the texture of both cameras agrees at the matched points "
+                        f"(in {len(agree)} of {len(tiles)} parts of the image, correlation "
+                        f"{typical:.2f})")]  # fmt: skip
+    if not tiles or texture_signal(phases1) < TEXTURE_MIN_SIGNAL:
         return [Finding("ok", name, float("nan"), "too little texture to check the calibration")]
-    return [Finding("warning", name, float("nan"), "the texture of both cameras does not agree at "
-                    f"the matched points (correlation {here:.2f}): {wrong}, unless the surface "
-                    "shines like a mirror")]  # fmt: skip
+    text = (
+        f"the texture of both cameras does not agree at the matched points: {wrong}, unless the "
+        "surface shines like a mirror"
+    )
+    return [Finding("warning", name, float("nan"), text)]
+
+
+@dataclass(frozen=True, slots=True)
+class TextureTile:
+    """Correlation of the textures in one part of the image: at the matched points, and at best."""
+
+    here: float
+    best: float
+    best_shift: int
+
+    @property
+    def agrees(self) -> bool:
+        """Tell whether the textures agree at the matched points."""
+        return self.here >= TEXTURE_MIN_PEAK and self.best - self.here <= TEXTURE_CLEAR
+
+    @property
+    def lies_elsewhere(self) -> bool:
+        """Tell whether the textures agree clearly better beside the epipolar curves."""
+        return self.best >= TEXTURE_MIN_PEAK and self.best - self.here > TEXTURE_CLEAR
 
 
 def texture_signal(phases: PhaseMap, /) -> float:
@@ -72,29 +100,40 @@ def texture_signal(phases: PhaseMap, /) -> float:
     return float(np.std(texture[good]) / np.median(noise / np.maximum(phases.offset[good], 1.0)))
 
 
-def texture_profile(
+def texture_tiles(
     matches: Correspondences, phases1: PhaseMap, phases2: PhaseMap, c1: Device, c2: Device, /
-) -> tuple[NDArray[np.int64], NDArray[np.float64]] | None:
-    """Return shifts across the epipolar curves, px, and the correlation of the textures.
+) -> list[TextureTile]:
+    """Correlate the textures in tiles of C1, for shifts across the epipolar curves in C2.
 
-    None where there are too few points.
+    Only tiles with enough matched points are returned.
     """
-    good = np.flatnonzero(matches.rejection.ravel() == 0)
-    if len(good) < 500:
-        return None
-    good = good[:: max(1, len(good) // SAMPLE)]
-    texture1 = _texture(phases1).ravel()[good]
-    texture2 = _texture(phases2)
-    pixels = matches.pixels.reshape(-1, 2)[good]
+    texture1, texture2 = _texture(phases1), _texture(phases2)
+    usable = np.argwhere((matches.rejection == 0) & np.isfinite(texture1))
+    if len(usable) < MIN_TILE_POINTS:
+        return []
     normal = _across_epipolar(c1, c2, matches)
     reach = max(c2.n_rows, c2.n_cols) // TEXTURE_REACH
     shifts = np.arange(-reach, reach + 1)
-    fine = np.abs(shifts) <= 2 * TEXTURE_MAX_SHIFT_PX
-    shifts = shifts[fine | (shifts % TEXTURE_STEP_PX == 0)]
-    correlation = np.array(
-        [_correlation(texture1, _sample(texture2, pixels + shift * normal)) for shift in shifts]
-    )
-    return shifts, correlation
+    near = np.abs(shifts) <= TEXTURE_MAX_SHIFT_PX
+    shifts = shifts[near | (shifts % TEXTURE_STEP_PX == 0)]
+    near = np.abs(shifts) <= TEXTURE_MAX_SHIFT_PX
+    low, high = usable.min(axis=0), usable.max(axis=0) + 1
+    number = ((usable - low) * TILES_PER_SIDE // (high - low)) @ [TILES_PER_SIDE, 1]
+    tiles = []
+    for tile in range(TILES_PER_SIDE**2):
+        rows, cols = usable[number == tile].T
+        if len(rows) < MIN_TILE_POINTS:
+            continue
+        thin = slice(None, None, max(1, len(rows) // TILE_SAMPLE))
+        values, pixels = texture1[rows[thin], cols[thin]], matches.pixels[rows[thin], cols[thin]]
+        profile = np.array(
+            [_correlation(values, _sample(texture2, pixels + shift * normal)) for shift in shifts]
+        )
+        peak = int(np.argmax(profile))
+        tiles.append(
+            TextureTile(float(profile[near].max()), float(profile[peak]), int(shifts[peak]))
+        )
+    return tiles
 
 
 def _texture(phases: PhaseMap) -> NDArray[np.float64]:
@@ -134,7 +173,7 @@ def _sample(texture: NDArray[np.float64], pixels: NDArray[np.float64]) -> NDArra
 
 def _correlation(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
     both = np.isfinite(a) & np.isfinite(b)
-    if both.sum() < 500:
+    if both.sum() < MIN_TILE_POINTS // 2:
         return 0.0
     x, y = a[both] - a[both].mean(), b[both] - b[both].mean()
     return float((x @ y) / max(np.sqrt((x @ x) * (y @ y)), 1e-30))

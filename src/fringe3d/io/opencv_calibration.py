@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -41,11 +42,11 @@ def read_opencv_calibration(
     path: Path,
     /,
     *,
-    first_size: tuple[int, int],
-    second_size: tuple[int, int] | None = None,
+    camera_sizes: Sequence[tuple[int, int]],
+    projector_size: tuple[int, int] | None = None,
     keys: CalibrationKeys | None = None,
     second_from_first: bool = True,
-    names: tuple[str, str] = ("c1", ""),
+    camera_names: Sequence[str] = ("c1", "c2"),
 ) -> Rig:
     """Read a pair of devices from a file of OpenCV's FileStorage.
 
@@ -54,11 +55,12 @@ def read_opencv_calibration(
     Parameters
     ----------
     path : YAML, XML or JSON file
-    first_size, second_size : (width, height), px; the second defaults to the first
+    camera_sizes : (width, height), px, of one or two cameras
+    projector_size : (width, height), px, or None; needed if the second device is a projector
     keys : names of the matrices, or None to recognise a known set
     second_from_first : bool
         OpenCV's convention ``X_second = R X_first + T``; False for the opposite direction.
-    names : names of the devices; an empty second one becomes "c2" or "projector"
+    camera_names : names of one or two cameras
     """
     if not path.is_file():
         raise RigError(f"{path}: expected a calibration file, found none. Check the path")
@@ -75,11 +77,11 @@ def read_opencv_calibration(
         rotation=_matrix(path, storage, keys.rotation),
         translation=_matrix(path, storage, keys.translation).ravel(),
     )
-    second_name = names[1] or ("c2" if keys.second_role == "camera" else "projector")
-    first = _device(path, storage, names[0], "camera", keys.matrix1, keys.distortion1,
-                    first_size, RigidTransform.identity())  # fmt: skip
+    second_name, second_size = _second(path, keys, camera_names, camera_sizes, projector_size)
+    first = _device(path, storage, camera_names[0], "camera", keys.matrix1, keys.distortion1,
+                    camera_sizes[0], RigidTransform.identity())  # fmt: skip
     second = _device(path, storage, second_name, keys.second_role, keys.matrix2, keys.distortion2,
-                     second_size or first_size,
+                     second_size,
                      pose if second_from_first else pose.inverse())  # fmt: skip
     is_camera = keys.second_role == "camera"
     return Rig(
@@ -87,6 +89,29 @@ def read_opencv_calibration(
         projector=None if is_camera else second,
         provenance=f"{path.name}, keys {keys.matrix1} {keys.matrix2} {keys.rotation}",
     )
+
+
+def _second(
+    path: Path,
+    keys: CalibrationKeys,
+    camera_names: Sequence[str],
+    camera_sizes: Sequence[tuple[int, int]],
+    projector_size: tuple[int, int] | None,
+) -> tuple[str, tuple[int, int]]:
+    """Return name and size of the second device."""
+    if keys.second_role == "projector":
+        if projector_size is None:
+            raise RigError(
+                f"{path}: expected the size of the projector image, found none. "
+                "Give it with --projector-size WIDTHxHEIGHT"
+            )
+        return "projector", projector_size
+    if len(camera_names) < 2:
+        raise RigError(
+            f"{path}: holds two cameras, but the recording has one. Name the second with "
+            "--camera, or the projector's matrices with --calibration-keys ...:projector"
+        )
+    return camera_names[1], camera_sizes[1]
 
 
 def _recognise(path: Path, storage: cv2.FileStorage) -> CalibrationKeys:
