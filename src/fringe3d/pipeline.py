@@ -150,9 +150,7 @@ def measure(
     method = choose_method(scan.rig, stacks, options)
 
     with clock("decoding"):
-        phases = tuple(
-            decode(stack, min_modulation_dn=options.min_modulation_dn) for stack in stacks
-        )
+        phases = tuple(_decode(stack, scan.rig, method, options) for stack in stacks)
         findings = check_phases(phases)
     main = phases[0].directions[0].main
     method = _settle(method, options, main)
@@ -171,7 +169,7 @@ def measure(
     with clock("checking"):
         findings += check_epipolar(matches) + check_yield(points)
         if other.role == "camera":
-            main2 = phases[1].directions[0].main
+            main2 = phases[1].directions[0].like(main)
             findings += check_texture(matches, main, main2, camera, other)
             if scan.rig.projector is not None:
                 findings += check_trinocular(points, main, scan.rig.projector)
@@ -282,13 +280,26 @@ def _volume(rig: Rig, camera: Device, options: MeasureOptions) -> MeasuringVolum
     return slab if rig.volume is None else rig.volume.intersection(slab)
 
 
+def _decode(
+    stack: ImageStack, rig: Rig | None, method: str, options: MeasureOptions
+) -> CameraPhases:
+    """Decode one camera; two directions of Gray code alone give the projector's whole pixels."""
+    return decode(
+        stack,
+        rig.projector.shape if rig is not None and rig.projector is not None else None,
+        min_modulation_dn=options.min_modulation_dn,
+        whole_cells=method == "projector" and len(stack.plan.angles) > 1,
+    )
+
+
 def _match(
     phases: Sequence[CameraPhases], camera: Device, other: Device, volume: MeasuringVolume | None
 ) -> Correspondences:
     if other.role == "projector":
         maps = [direction.main for direction in phases[0].directions[:2]]
         return match_projector(maps, camera, other, volume)
-    main1, main2 = (p.directions[0].main for p in phases[:2])
+    main1 = phases[0].directions[0].main
+    main2 = phases[1].directions[0].like(main1)
     return match_cameras(main1, main2, camera, other, volume)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -202,7 +203,8 @@ def _without(points: PointMap, where: NDArray[np.bool_], reason: Rejection) -> P
     rejection = points.rejection.copy()
     reject(rejection, (rejection == 0) & where, reason)
     bad = rejection != 0
-    return PointMap(
+    return replace(
+        points,
         points_mm=np.where(bad[..., None], np.nan, points.points_mm),
         sigma_mm=np.where(bad, np.nan, points.sigma_mm),
         skew_mm=np.where(bad, np.nan, points.skew_mm),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -116,19 +117,12 @@ def resolve_orders(
     order_map = np.full(valid.shape, NO_ORDER, np.int32)
     order_map[valid] = np.where(count == 1, chosen, NO_ORDER)
     n_orders = len(phases.class_of_order)
-    return PhaseMap(
+    return replace(
+        phases,
         phase=np.where(rejection == 0, phases.phase, np.nan),
         order_class=order_map,
         class_of_order=np.arange(n_orders, dtype=np.int32) + phases.first_order,
-        first_order=phases.first_order,
-        phase_std=phases.phase_std,
-        offset=phases.offset,
-        modulation=phases.modulation,
         rejection=rejection,
-        period_px=phases.period_px,
-        angle=phases.angle,
-        device_name=phases.device_name,
-        n_mended=phases.n_mended,
     )
 
 
@@ -209,10 +203,8 @@ def _from_two_directions(
     base, tangent = _epipolar_line_at(projector, origin, directions, pixels)
     away = pixels - base
     residual = tangent[:, 0] * away[:, 1] - tangent[:, 1] * away[:, 0]
-    # Along the curve the two coordinates weigh as the curve crosses them.
-    crossing = np.abs(tangent @ axes.T)
-    with np.errstate(divide="ignore"):
-        sigma = 1 / np.sqrt(((crossing / sigma_w) ** 2).sum(axis=-1))
+    # The point is not weighted: both coordinates move it along the curve as they move the pixel.
+    sigma = np.sqrt((((tangent @ np.linalg.inv(axes)) * sigma_w) ** 2).sum(axis=-1))
     outside = valid.copy()
     outside[valid] = np.logical_not(_inside(pixels, projector))
     reject(rejection, outside, Rejection.OUTSIDE_PROJECTOR)
@@ -233,7 +225,10 @@ def _middle_of_cells(
     if not (a.is_quantised and b.is_quantised):
         return grid, np.ones(int(valid.sum()))
     column, row = (m.order_class[valid].astype(np.int64) for m in (a, b))
-    _, cell = np.unique(row * (column.max(initial=0) + 1) + column, return_inverse=True)
+    if not len(column):
+        return grid, np.ones(0)
+    column -= column.min()  # orders may be negative
+    _, cell = np.unique(row * (column.max() + 1) + column, return_inverse=True)
     places = grid[valid]
     count = np.bincount(cell)
     middle = [np.bincount(cell, places[:, axis]) / count for axis in (0, 1)]

@@ -38,6 +38,11 @@ class DirectionPhases:
     others: tuple[PhaseMap, ...]
     wrapped: tuple[WrappedPhaseMap, ...]
 
+    def like(self, phases: PhaseMap) -> PhaseMap:
+        """Return the map of the same period as that of another camera, else the main one."""
+        same = (m for m in (self.main, *self.others) if m.period_px == phases.period_px)
+        return next(same, self.main)
+
 
 @dataclass(frozen=True, slots=True)
 class CameraPhases:
@@ -53,6 +58,7 @@ def decode(
     /,
     *,
     min_modulation_dn: float | None = None,
+    whole_cells: bool = False,
 ) -> CameraPhases:
     """Decode all fringe and Gray-code images of one camera.
 
@@ -62,6 +68,7 @@ def decode(
     projector_shape : (n_rows, n_cols) or None
         Overrides that of the plan. Without either, the code bounds the projector.
     min_modulation_dn : float or None, DN; see `wrapped_phase`
+    whole_cells : bool; leave a Gray code without fringes unsmoothed, see `phase_from_code`
 
     Returns
     -------
@@ -85,7 +92,7 @@ def decode(
         for fringe_set in plan.fringe_sets
     ]
     directions = [
-        _decode_direction(stack, angle, wrapped, _extent(plan, angle, shape))
+        _decode_direction(stack, angle, wrapped, _extent(plan, angle, shape), whole_cells)
         for angle in plan.angles
     ]
     return CameraPhases(stack.device_name, tuple(directions))
@@ -96,14 +103,13 @@ def _decode_direction(
     angle: float,
     wrapped: Sequence[WrappedPhaseMap],
     extent: tuple[float, float],
+    whole_cells: bool,
 ) -> DirectionPhases:
     maps = [m for m in wrapped if m.angle == angle]
     codes = [g for g in stack.plan.gray_sets if g.angle == angle]
     if not maps:
-        # Two directions give whole projector pixels; the middle of all camera pixels that see
-        # one is better than a plane through its steps.
-        smooth = len(stack.plan.angles) == 1
-        return DirectionPhases(phase_from_code(stack, codes[0], extent, smooth=smooth), (), ())
+        coded = phase_from_code(stack, codes[0], extent, smooth=not whole_cells)
+        return DirectionPhases(coded, (), ())
     if codes:
         known = _orders_by_code(stack, codes[0], maps, wrapped[0], extent)
     elif len(maps) > 1:
@@ -160,7 +166,7 @@ def _extent(plan: PatternPlan, angle: float, shape: tuple[int, int] | None) -> t
         return 0.0, codes[0].cell_px * (1 << codes[0].n_bits)
     periods = [f.period_px for f in plan.fringe_sets if f.angle == angle]
     if len(periods) == 1:
-        return 0.0, periods[0]
+        return 0.0, 2 * periods[0]  # at least two periods: the order is not known
     raise MethodError(
         "plan: the size of the projector image is needed to number the fringes, and neither the "
         "plan nor the rig has it. Add 'projector_size = [width, height]' to the scan file"

@@ -13,6 +13,8 @@ from fringe3d.model import NO_ORDER, ImageStack, PhaseMap, Rejection
 from fringe3d.model.plan import GraySet
 from fringe3d.model.rejection import reject
 
+TWO_PI = 2 * np.pi
+
 MIN_CONTRAST_OF_RANGE = 0.02
 """Part of the grey-value range (5 DN of 255) that light and dark must differ by."""
 
@@ -26,7 +28,7 @@ MAX_SLOPE = 3.0
 def phase_from_code(
     stack: ImageStack, gray_set: GraySet, extent_px: tuple[float, float], /, *, smooth: bool
 ) -> PhaseMap:
-    """Decode a full Gray code to a phase of one turn per cell.
+    """Decode a full Gray code to a phase.
 
     Parameters
     ----------
@@ -35,7 +37,8 @@ def phase_from_code(
     extent_px : smallest and largest w of the projector, px
     smooth : bool
         Put a plane through each pixel's neighbourhood (7 x 7): coordinates a few times finer than
-        the cells. Without, each pixel gets the middle of its cell (`PhaseMap.is_quantised`).
+        the cells, as a phase of half a turn over the projector. Without, each pixel gets the
+        middle of its cell, one turn per cell (`PhaseMap.is_quantised`).
 
     Raises
     ------
@@ -68,23 +71,32 @@ def phase_from_code(
         w = np.where(rejection == 0, (cell + 0.5) * gray_set.cell_px, np.nan)
         sigma = np.full(w.shape, gray_set.cell_px / np.sqrt(12), np.float32)
     reject(rejection, (rejection == 0) & np.isnan(w), Rejection.ISOLATED)
-    turns = np.where(rejection == 0, w / gray_set.cell_px, 0.0)
+    period = gray_set.cell_px
+    if smooth:
+        orders = all_orders(_one_turn_px(extent_px), extent_px)
+        period = _one_turn_px(extent_px)
+    turns = np.where(rejection == 0, w / period, 0.0)
     order = np.clip(np.floor(turns), orders.class_of_order[0], orders.class_of_order[-1])
-    phase = np.clip(2 * np.pi * (turns - order), 0, np.nextafter(2 * np.pi, 0))
+    phase = np.clip(TWO_PI * (turns - order), 0, np.nextafter(TWO_PI, 0))
     return PhaseMap(
         phase=np.where(rejection == 0, phase, np.nan),
         order_class=np.where(rejection == 0, order, NO_ORDER),
         class_of_order=orders.class_of_order,
         first_order=orders.first_order,
-        phase_std=2 * np.pi * sigma / gray_set.cell_px,
+        phase_std=TWO_PI * sigma / period,
         offset=offset,
         modulation=modulation,
         rejection=rejection,
-        period_px=gray_set.cell_px,
+        period_px=period,
         angle=gray_set.angle,
         device_name=stack.device_name,
         is_quantised=not smooth,
     )
+
+
+def _one_turn_px(extent_px: tuple[float, float]) -> float:
+    """Return a period that holds the projector with room to spare: a phase without wraps."""
+    return 2 * (extent_px[1] - extent_px[0])
 
 
 def _brightness(

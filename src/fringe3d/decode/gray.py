@@ -21,12 +21,10 @@ class CodeWords:
     ----------
     word : (row, col) int32; the observed bits, MSB first, packed
     contrast_dn : (row, col) float32, DN; smallest distance of a bit from its threshold
-    threshold : "inverses", "fringes" or "light and dark"
     """
 
     word: NDArray[np.int32]
     contrast_dn: NDArray[np.float32]
-    threshold: str
 
 
 def code_words(
@@ -49,15 +47,13 @@ def code_words(
     MethodError
         If there is nothing to compare a bit with.
     """
-    fixed, name = _fixed_threshold(stack, mean_dn)
+    fixed = _fixed_threshold(stack, mean_dn)
     word = np.zeros(stack.shape, np.int32)
     contrast = np.full(stack.shape, np.inf, np.float32)
-    used = set()
     for bit, index, inverse in zip(gray_set.bits, gray_set.indices, gray_set.inverses, strict=True):
         if index >= 0 and inverse >= 0:
             bright = stack.images[index].astype(np.float32)
             difference = (bright - stack.images[inverse]) / 2
-            used.add("inverses")
         elif fixed is None:
             raise MethodError(
                 f"camera '{stack.device_name}': Gray-code bit {bit} has no threshold: its inverse, "
@@ -66,22 +62,20 @@ def code_words(
         else:
             sign, place = (1, index) if index >= 0 else (-1, inverse)
             difference = sign * (stack.images[place] - fixed)
-            used.add(name)
         word = (word << 1) | (difference > 0)
         np.minimum(contrast, np.abs(difference), out=contrast)
-    return CodeWords(word, contrast, " and ".join(sorted(used)))
+    return CodeWords(word, contrast)
 
 
 def _fixed_threshold(
     stack: ImageStack, mean_dn: NDArray[np.float32] | None
-) -> tuple[NDArray[np.float32] | None, str]:
+) -> NDArray[np.float32] | None:
     if mean_dn is not None:
-        return mean_dn, "fringes"
+        return mean_dn
     light, dark = stack.plan.uniform_index(1.0), stack.plan.uniform_index(0.0)
     if light >= 0 and dark >= 0:
-        mean = (stack.images[light].astype(np.float32) + stack.images[dark]) / 2
-        return mean, "light and dark"
-    return None, ""
+        return np.asarray((stack.images[light].astype(np.float32) + stack.images[dark]) / 2)
+    return None
 
 
 def expected_words(gray_set: GraySet, w: NDArray[np.float64], /) -> NDArray[np.int32]:

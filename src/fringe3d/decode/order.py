@@ -100,11 +100,15 @@ def order_table(
     )
     by_word = np.full((1 << len(gray_set.bits), PHASE_BINS), NO_ORDER, np.int32)
     alternative = by_word.copy()
-    bins = np.arange(PHASE_BINS)
+    all_bins = np.arange(PHASE_BINS)
     reach = EDGE_REACH * min(gray_set.cell_px / period_px, 1.0)
     for shift in _nearest_first():
-        seen = expected_words(gray_set, w + shift * period_px)
-        for name, row in zip(class_of_order, seen, strict=True):
+        # Beyond the projector's border there is nothing to see; a cyclic code starts anew there.
+        moved = w + shift * period_px
+        on_projector = (moved > extent_px[0]) & (moved < extent_px[1])
+        seen = expected_words(gray_set, moved)
+        for name, all_words, inside in zip(class_of_order, seen, on_projector, strict=True):
+            row, bins = all_words[inside], all_bins[inside]
             empty = by_word[row, bins] == NO_ORDER
             by_word[row[empty], bins[empty]] = name
             other = (by_word[row, bins] != name) & (alternative[row, bins] == NO_ORDER)

@@ -12,12 +12,11 @@ from fringe3d.model.plan import FringeSet
 from fringe3d.model.rejection import reject
 
 MAX_PHASE_STD = 0.25
-"""rad; beyond this the phase is noise: 1 in 10**9 errors of half a period are then due to it
-alone at 12 sigma, and at one 25th of a period no point is worth having."""
+"""rad; at a standard deviation of one 25th of a period no point is worth having."""
 
 MIN_MODULATION_OF_RANGE = 0.008
 """Part of the grey-value range below which contrast is rejected, whatever the noise (2 DN of
-255): quantisation alone then disturbs the phase by 0.15 rad."""
+255): quantisation alone then disturbs the phase by 0.12 rad with three steps."""
 
 KEPT_PART = 0.5
 """Part of the pixels that the noise is estimated from; the others may be edges or motion."""
@@ -115,7 +114,7 @@ def wrapped_phase(
         n_shifts=len(fringe_set.indices),
         noise_dn=float(np.sqrt(np.median(variance[rejection == 0]))) if (rejection == 0).any()
         else float("nan"),
-        harmonic_ratio=_harmonic_ratio(stack, fringe_set, modulation, rejection == 0),
+        harmonic_ratio=_harmonic_ratio(stack, fringe_set, modulation, variance, rejection == 0),
     )  # fmt: skip
 
 
@@ -221,9 +220,14 @@ def _harmonic_ratio(
     stack: ImageStack,
     fringe_set: FringeSet,
     modulation: NDArray[np.float32],
+    variance: NDArray[np.float32],
     valid: NDArray[np.bool_],
 ) -> float:
-    """Return the second harmonic over the first, median of a sample of pixels."""
+    """Return the second harmonic over the first, median of a sample of pixels.
+
+    Noise alone gives a Rayleigh length, whose median square is ``2 ln 2 sigma**2``; it is
+    taken off.
+    """
     if len(fringe_set.indices) < 5 or not valid.any():
         return float("nan")
     shifts = np.asarray(fringe_set.shifts)
@@ -231,5 +235,8 @@ def _harmonic_ratio(
     grey = stack.images[list(fringe_set.indices)].reshape(len(shifts), -1)[:, sample]
     model = np.stack([np.ones_like(shifts), np.cos(shifts), np.sin(shifts),
                       np.cos(2 * shifts), np.sin(2 * shifts)], axis=1)  # fmt: skip
-    second = np.linalg.pinv(model)[3:] @ grey
-    return float(np.median(np.hypot(*second) / modulation.ravel()[sample]))
+    solver = np.linalg.pinv(model)[3:]
+    noise = 2 * np.log(2) * (solver**2).sum(axis=1).mean() * variance.ravel()[sample]
+    power = ((solver @ grey) ** 2).sum(axis=0)
+    first = modulation.ravel()[sample] ** 2
+    return float(np.sqrt(max(float(np.median(power / first) - np.median(noise / first)), 0.0)))

@@ -21,8 +21,8 @@ HARMONIC_WARNING = 0.05
 RIPPLE_WARNING_RAD = 0.06
 """A hundredth of a period; the same as a second harmonic of 6 % with three steps."""
 
-MIN_RIPPLE_PIXELS = 10_000
-"""Fewer pixels do not cover the phases evenly."""
+MIN_RIPPLE_PIXELS, MIN_RIPPLE_PERIODS = 10_000, 8
+"""Fewer pixels or periods do not cover the phases evenly."""
 
 SAMPLE = 40_000
 
@@ -121,7 +121,8 @@ def _harmonic_findings(direction: DirectionPhases) -> list[Finding]:
     for wrapped in direction.wrapped:
         ratio = wrapped.harmonic_ratio
         if not np.isfinite(ratio):
-            findings += _ripple_findings(wrapped)
+            if _periods_seen(direction.main, wrapped.period_px) >= MIN_RIPPLE_PERIODS:
+                findings += _ripple_findings(wrapped)
             continue
         name = f"{wrapped.device_name}_{axis_name(wrapped.angle)}_{wrapped.period_px:g}px_harmonic"
         text = (
@@ -136,6 +137,17 @@ def _harmonic_findings(direction: DirectionPhases) -> list[Finding]:
         level: Level = "warning" if ratio > HARMONIC_WARNING else "ok"
         findings.append(Finding(level, name, ratio, text))
     return findings
+
+
+def _periods_seen(main: PhaseMap, period_px: float) -> float:
+    """Return how many periods the object spans; those on the projector if that is not known."""
+    if not main.is_absolute:
+        return len(main.class_of_order) * main.period_px / period_px
+    position = main.position_px[main.rejection == 0]
+    if not len(position):
+        return 0.0
+    low, high = np.percentile(position, [5, 95])
+    return float(high - low) / period_px
 
 
 def _ripple_findings(wrapped: WrappedPhaseMap) -> list[Finding]:
