@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
+from fringe3d.errors import Fringe3DError
 from fringe3d.health import period_disagreement
 from fringe3d.io.recording import read_scan
 from fringe3d.model.rejection import count_by_reason
@@ -48,21 +49,30 @@ def main() -> None:
             images=DATA / name.removesuffix("-0020").removesuffix("-0021"),
         )
         start = time.perf_counter()
-        result = measure(scan, options)
+        try:
+            result = measure(scan, options)
+        except Fringe3DError as refusal:
+            said = str(refusal).split(":")[0]
+            print(f"| {name} | {wording(options)} | refused | | {said} | | | |")
+            continue
         print(row(name, options, result, time.perf_counter() - start))
         for finding in result.findings:
             print(f"<!-- {name}: {finding.level}: {finding.text} -->")
         print(f"<!-- {name}: {count_by_reason(result.rejection)} -->", flush=True)
 
 
-def row(name: str, options: MeasureOptions, result: Measurement, seconds: float) -> str:
-    """Return one row of the table."""
+def wording(options: MeasureOptions) -> str:
+    """Return the options in words."""
     given = [
         f"{n} steps" if (n := options.n_shifts) else "",
         f"{options.gray_bits} code images" if options.gray_bits is not None else "",
         "depth {:g}:{:g}".format(*options.depth_mm) if options.depth_mm else "",
     ]
-    said = ", ".join(filter(None, given)) or "all images"
+    return ", ".join(filter(None, given)) or "all images"
+
+
+def row(name: str, options: MeasureOptions, result: Measurement, seconds: float) -> str:
+    """Return one row of the table."""
     if result.points is None:
         typical = [
             np.nanmedian(np.abs(period_disagreement(d.main, other)))
@@ -77,7 +87,7 @@ def row(name: str, options: MeasureOptions, result: Measurement, seconds: float)
         depth, n_points = f"{low:.1f} to {high:.1f}", result.points.n_points
         sigma = float(np.median(result.points.sigma_mm[good]))
     return (
-        f"| {name} | {said} | {result.method} | {n_points:,} | {depth} | {sigma:.3f} "
+        f"| {name} | {wording(options)} | {result.method} | {n_points:,} | {depth} | {sigma:.3f} "
         f"| {result.main.n_mended:,} | {seconds:.1f} |"
     )
 
