@@ -186,3 +186,21 @@ def test_patterns_are_the_plan_sampled_at_pixel_centres(tmp_path: Path) -> None:
         assert found.dtype == np.uint16
         # Degrees in the file round the angle and the shift by 1e-16.
         assert np.abs(expected.astype(int) - found).max() <= 1
+
+
+def test_import_asks_where_nothing_is_given(
+    recording: Recording,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """An empty answer takes the proposal, which knows names and first numbers of the files."""
+    write_scan(tmp_path / "mine", recording[0])
+    shutil.move(tmp_path / "mine" / "rig.toml", tmp_path / "rig.toml")
+    (tmp_path / "mine" / "scan.toml").unlink()
+    answers = iter(["", "", "", "fringes period_px=16 n_shifts=4", "gray cell_px=8 n_bits=7", ""])
+    monkeypatch.setattr("builtins.input", lambda *_: next(answers))
+    monkeypatch.setattr("sys.stdin.isatty", lambda: True)
+    main(["import", str(tmp_path / "mine"), "--rig", str(tmp_path / "rig.toml")])
+    assert "by method m1" in capsys.readouterr().out
+    assert next(answers, "all asked") == "all asked"

@@ -258,8 +258,7 @@ def import_(
         title=title,
         overwrite=overwrite,
     )
-    with Reporter(quiet=False).running() as reporter:
-        text = import_recording(options, reporter)
+    text = import_recording(options, Reporter(quiet=False))
     say(text)
 
 

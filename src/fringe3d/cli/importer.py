@@ -115,7 +115,7 @@ def _ask_cameras(images: Path) -> list[str]:
     answers: list[str] = []
     for number in range(max(1, len(proposals))):
         default = proposals[number] if number < len(proposals) else None
-        question = f"Camera {number + 1}: NAME=PATTERN[@FIRST] ('-' to leave it out)"
+        question = f"Camera {number + 1}: NAME=PATTERN@FIRST ('-' to leave it out)"
         answer = Prompt.ask(question, default=default)
         if answer and answer != "-":
             answers.append(answer)
@@ -147,8 +147,9 @@ def _require_terminal(option: str, found: str) -> None:
 def _check(path: Path, reporter: Reporter) -> str:
     """Measure with the new description; say what came out, and what may be wrong."""
     try:
-        scan = read_scan(path, progress=reporter.step)
-        result = measure(scan, MeasureOptions(), stage=reporter.stage)
+        with reporter.running():
+            scan = read_scan(path, progress=reporter.step)
+            result = measure(scan, MeasureOptions(), stage=reporter.stage)
     except Fringe3DError as problem:
         raise PlanError(
             f"{path} is written, but the check failed: {problem}. Correct the file and check it "
