@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
 from fringe3d.correspond.projector import match_projector
 from fringe3d.decode import decode
 from fringe3d.decode.order import order_table
+from fringe3d.errors import MethodError, OutputError
+from fringe3d.io.atomic import new_folder
+from fringe3d.io.images import read_image
 from fringe3d.model import (
     NO_ORDER,
     Device,
@@ -170,3 +175,31 @@ def test_wide_periods_are_not_accused_of_gamma(rig: Rig) -> None:
     plan = sequence(rig.projector.shape, periods_px=(16.0, 128.0, 1024.0), n_shifts=3, gray="none")
     scan, _ = simulate(rig, plan, SphereScene(), np.random.default_rng(3))
     assert not [f for f in measure(scan).warnings if "gamma" in f.text]
+
+
+def test_a_plain_code_is_not_reduced(rig: Rig) -> None:
+    """Periods 7 and 8 have the same three low bits in a reflected code."""
+    assert rig.projector is not None
+    plan = sequence(rig.projector.shape, periods_px=(16.0,), n_shifts=4, gray="plain")
+    scan, _ = simulate(rig, plan, SphereScene(), np.random.default_rng(3))
+    with pytest.raises(MethodError, match="repeat mirrored"):
+        measure(scan, MeasureOptions(gray_bits=3))
+
+
+def test_a_file_is_never_replaced_by_a_folder(tmp_path: Path) -> None:
+    (tmp_path / "mine.txt").write_text("mine")
+    with (
+        pytest.raises(OutputError, match="found a file"),
+        new_folder(tmp_path / "mine.txt", overwrite=True),
+    ):
+        pass
+    assert (tmp_path / "mine.txt").read_text() == "mine"
+
+
+@pytest.mark.parametrize("channels", [1, 3])
+def test_tiff_compressed_by_lzw_is_read(tmp_path: Path, channels: int) -> None:
+    """OpenCV writes LZW by default; blue, green, red is its order."""
+    image = np.random.default_rng(1).integers(0, 60_000, (20, 30, channels), np.uint16)
+    assert cv2.imwrite(str(tmp_path / "a.tif"), image)
+    found = read_image(tmp_path / "a.tif", channel="blue" if channels == 3 else "grey")
+    np.testing.assert_array_equal(image[..., 0], found)

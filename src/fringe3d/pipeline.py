@@ -50,6 +50,9 @@ GAP_FACTOR = 10.0
 
 MIN_PATCH_PIXELS, STRICT_PATCH_PIXELS = 30, 200
 
+PLAIN_CELL = 0.75
+"""Cells wider than this part of a period have edges where the phase wraps."""
+
 SPARSE_REACH_PX = 3
 """Gray code alone leaves out the pixels on the edges of its cells."""
 
@@ -201,6 +204,15 @@ def _require_bits(stack: ImageStack, gray_bits: int) -> None:
             f"--gray-bits: expected 0 to {recorded} of the {recorded} recorded code images, found "
             f"{gray_bits}"
         )
+    periods = {f.angle: f.period_px for f in stack.plan.fringe_sets}
+    for code in stack.plan.gray_sets:
+        is_plain = code.cell_px > PLAIN_CELL * periods.get(code.angle, np.inf)
+        if is_plain and 0 < gray_bits < len(code.bits):
+            raise MethodError(
+                "--gray-bits: the finest images of a plain code repeat mirrored and do not tell "
+                "neighbouring periods apart. Keep all, or record an over-determined code (cells "
+                "of half a period) or a cyclic one"
+            )
 
 
 def _steps(indices: Sequence[int], n_shifts: int) -> list[int]:

@@ -45,6 +45,11 @@ def import_recording(options: ImportOptions, reporter: Reporter, /) -> str:
     """Write the scan file (and the rig file), check them; return what to print."""
     if not options.images.is_dir():
         raise PlanError(f"{options.images}: expected the folder of the images, found none")
+    if options.rig is not None and (options.calibration or options.depth_mm):
+        raise PlanError(
+            "--rig: expected a complete rig file, found --calibration or --depth beside it. "
+            "Leave them out, or write the depth range into the rig's [volume]"
+        )
     require_writable(options.out, overwrite=options.overwrite)
     cameras = [parse_camera(text) for text in options.cameras or _ask_cameras(options.images)]
     sequence = [parse_sequence(text) for text in options.sequence or _ask_sequence()]
@@ -156,5 +161,7 @@ def _check(path: Path, reporter: Reporter) -> str:
             "with 'fringe3d measure'"
         ) from None
     lines = [f"{path}: {summary(result)}"]
+    if result.points is None:
+        lines.append("for points add --calibration FILE (or --rig FILE) and --projector-size")
     lines += [f"{finding.level}: {finding.text}" for finding in result.findings]
     return "\n".join(lines)

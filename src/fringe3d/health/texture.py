@@ -54,7 +54,7 @@ def check_texture(
     if len(elsewhere) > MAX_WRONG_TILES * (len(agree) + len(elsewhere)):
         shift = float(np.median([abs(tile.best_shift) for tile in elsewhere]))
         return [Finding("error", name, shift, f"in {len(elsewhere)} of {len(tiles)} parts of the "
-                        "image the texture of both cameras agrees not at the matched points but "
+                        "image the texture of both cameras agrees better away from the matched points, "
                         f"about {shift:.0f} px beside the epipolar curves: {wrong}")]  # fmt: skip
     if agree:
         typical = float(np.median([tile.here for tile in agree]))

@@ -67,6 +67,10 @@ def new_folder(target: Path, /, *, overwrite: bool = False) -> Iterator[Path]:
     With `overwrite`, an existing `target` is replaced as a whole, and only then.
     """
     require_writable(target, overwrite=overwrite)
+    if target.is_file():
+        raise OutputError(
+            f"{target}: expected a folder or a new path, found a file. Choose another path"
+        )
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
         aside = Path(tempfile.mkdtemp(prefix=f".{target.name}.partial-", dir=target.parent))

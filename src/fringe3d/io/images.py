@@ -62,7 +62,10 @@ def _decode(path: Path, data: bytes) -> NDArray[Any]:
         try:
             return np.asarray(tifffile.imread(io.BytesIO(data)))
         except Exception as problem:  # noqa: BLE001  (tifffile raises many kinds)
-            raise ImageError(f"{unreadable}decoded: {problem}. Copy it again") from None
+            image = _decode_tiff_by_opencv(data)  # knows LZW
+            if image is None:
+                raise ImageError(f"{unreadable}decoded: {problem}. Copy it again") from None
+            return image
     try:
         image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     except cv2.error as problem:
@@ -70,6 +73,17 @@ def _decode(path: Path, data: bytes) -> NDArray[Any]:
     if image is None:
         raise ImageError(f"{unreadable}decoded. Check the file")
     return np.asarray(image)
+
+
+def _decode_tiff_by_opencv(data: bytes) -> NDArray[Any] | None:
+    """Return a TIFF in the channel order of TIFF files, None if it cannot be decoded."""
+    try:
+        image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    except cv2.error:
+        return None
+    if image is None:
+        return None
+    return np.asarray(image[..., ::-1] if image.ndim == 3 else image)
 
 
 def _to_grey(path: Path, image: NDArray[Any], channel: Channel) -> Grey:
