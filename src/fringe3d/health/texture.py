@@ -53,9 +53,12 @@ def check_texture(
     wrong = "the calibration does not belong to these images. Check the rig file"
     if len(elsewhere) > MAX_WRONG_TILES * (len(agree) + len(elsewhere)):
         shift = float(np.median([abs(tile.best_shift) for tile in elsewhere]))
-        return [Finding("error", name, shift, f"in {len(elsewhere)} of {len(tiles)} parts of the "
-                        "image the texture of both cameras agrees better away from the matched points, "
-                        f"about {shift:.0f} px beside the epipolar curves: {wrong}")]  # fmt: skip
+        text = (
+            f"in {len(elsewhere)} of {len(tiles)} parts of the image the texture of both cameras "
+            f"agrees not at the matched points, but about {shift:.0f} px beside the epipolar "
+            f"curves: {wrong}"
+        )
+        return [Finding("error", name, shift, text)]
     if agree:
         typical = float(np.median([tile.here for tile in agree]))
         return [Finding("ok", name, 0.0, "the texture of both cameras agrees at the matched points "
