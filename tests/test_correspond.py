@@ -367,13 +367,9 @@ def test_reduced_code_with_the_projector_gives_the_same_points_as_the_full_code(
 
 
 def test_reduced_code_with_the_projector_needs_a_volume(rig: Rig, twice: Twice) -> None:
-    """And two directions need full codes."""
     assert rig.projector is not None
     with pytest.raises(MethodError, match=r"8 of 64 periods apart.*--depth"):
         match_projector(twice.reduced["8"][:1], rig.cameras[0], rig.projector, None)
-    maps = [twice.full[0], twice.reduced["8"][0]]
-    with pytest.raises(MethodError, match="numbers all periods in both"):
-        match_projector(maps, rig.cameras[0], rig.projector, rig.volume)
 
 
 def test_phases_of_different_fringes_are_refused(rig: Rig, twice: Twice) -> None:

@@ -256,12 +256,18 @@ def test_several_periods_decode_to_the_sampled_coordinates(
         assert np.abs(other.position_px - true)[both].max() < tolerance
 
 
-def test_periods_that_cannot_tell_the_orders_apart_are_ambiguous_not_wrong() -> None:
-    """16 and 32 px repeat after 32 px."""
-    plan = sequence(SHAPE, periods_px=(16.0, 32.0), n_shifts=4, gray="none")
+@pytest.mark.parametrize(("other", "cycle"), [(32.0, 2), (17.0, 17)])
+def test_periods_that_repeat_leave_classes_of_orders(other: float, cycle: int) -> None:
+    """16 and 32 px repeat after 32 px, 16 and 17 px after 272 px = 17 periods."""
+    plan = sequence(SHAPE, periods_px=(16.0, other), n_shifts=4, gray="none")
     x, y = scattered()
     main = directions(plan, x, y)[0].main
-    assert ((main.rejection & Rejection.AMBIGUOUS) != 0).all()
+    good = main.rejection == 0
+    true = np.floor(across(0.0, x, y) / 16)
+    assert good.mean() > 0.999
+    assert not main.is_absolute
+    np.testing.assert_array_equal(main.order_class[good], true[good] % cycle)
+    np.testing.assert_array_equal(main.class_of_order, np.arange(len(main.class_of_order)) % cycle)
 
 
 def test_one_period_without_code_leaves_one_class_of_all_orders() -> None:

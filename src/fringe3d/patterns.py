@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,13 @@ from fringe3d.model.plan import fringes, gray_code
 
 EDGE_TOLERANCE = 1e-9
 """Cells; keeps a pixel centre that falls on a cell edge on its upper side despite rounding."""
+
+ALIKE_PERIODS = 0.03
+"""Periods; phases closer than that look alike: three standard deviations of 0.06 rad, a noisy
+recording. 32 and 33 px, which do number 1024 px, differ by just more from order to order."""
+
+MIN_PERIOD_PX, MIN_CELL_PX = 2.0, 1.0
+"""Projector px; finer fringes and stripes cannot be shown (sampling theorem)."""
 
 
 def across(angle: float, x: ArrayLike, y: ArrayLike, /) -> NDArray[np.float64]:
@@ -112,6 +120,36 @@ def full_gray_bits(shape: tuple[int, int], cell_px: float, angle: float, /) -> i
     return max(1, math.ceil(math.log2(n_cells)))
 
 
+def unambiguous_px(
+    periods_px: Sequence[float], extent: float, /, *, alike: float = ALIKE_PERIODS
+) -> float:
+    """Return the range that fringes of several periods number without a code.
+
+    It is the smallest shift that leaves every phase as it was, within `alike` periods. A shift by
+    a whole number of finest periods is meant: the others tell the orders of the finest apart.
+
+    Parameters
+    ----------
+    periods_px : float, projector px
+    extent : float, px; of the projector across the fringes
+    alike : float, periods
+
+    Returns
+    -------
+    float, px; `extent` where nothing repeats within it
+
+    Examples
+    --------
+    >>> unambiguous_px([16, 17], 1024), unambiguous_px([16, 32], 1024)
+    (272.0, 32.0)
+    """
+    finest = min(periods_px)
+    shifts = finest * np.arange(1, math.ceil(extent / finest - EDGE_TOLERANCE))
+    turns = shifts[:, None] / np.asarray(periods_px, np.float64)
+    alike = (np.abs(turns - np.rint(turns)) <= alike).all(axis=1)
+    return float(shifts[alike][0]) if alike.any() else float(extent)
+
+
 def sequence(
     shape: tuple[int, int],
     /,
@@ -141,6 +179,11 @@ def sequence(
         are); all of them if None. A complementary code has one image more.
     inverses, light_dark : bool; thresholds for the code, besides the mean of the fringes
 
+    Raises
+    ------
+    ValueError
+        If the projector cannot show the patterns, or if the code tells nothing.
+
     Examples
     --------
     >>> plan = sequence((768, 1024), periods_px=(16.0,), n_shifts=4)
@@ -151,17 +194,82 @@ def sequence(
         raise ValueError("plan: expected at least one period_px, found none")
     if gray not in ("none", "plain", "complementary"):
         raise ValueError(f"plan: expected gray none, plain or complementary, found '{gray}'")
-    if gray_bits is not None and gray_bits < 1:
-        raise ValueError(f"plan: expected gray_bits >= 1, found {gray_bits}; no code is gray none")
+    _require_visible(periods_px, n_shifts)
+    full = [full_gray_bits(shape, periods_px[0], angle) for angle in angles]
+    if gray != "none":
+        _require_useful(shape, periods_px[0], angles, gray_bits, max(full))
     patterns: list[Pattern] = []
-    for angle in angles:
+    for angle, enough in zip(angles, full, strict=True):
         for period in periods_px if n_shifts else ():
             patterns += fringes(period, n_shifts, angle=angle, reverse=reverse)
         if gray != "none":
             extra = 1 if gray == "complementary" and n_shifts else 0
-            bits = gray_bits or full_gray_bits(shape, periods_px[0], angle)
             cell = periods_px[0] / (1 + extra)
-            patterns += gray_code(cell, bits + extra, angle=angle, inverses=inverses)
+            bits = min(gray_bits or enough, enough) + extra
+            patterns += gray_code(cell, bits, angle=angle, inverses=inverses)
     if light_dark:
         patterns += [Uniform(level=1.0), Uniform(level=0.0)]
     return PatternPlan(patterns=tuple(patterns), projector_shape=shape)
+
+
+def _require_visible(periods_px: Sequence[float], n_shifts: int) -> None:
+    if len(set(periods_px)) < len(periods_px):
+        raise ValueError(f"plan: expected different periods, found {list(periods_px)}")
+    least = MIN_PERIOD_PX if n_shifts else MIN_CELL_PX
+    for period in periods_px:
+        if not least <= period < math.inf:
+            what = "fringes" if n_shifts else "cells of a code"
+            raise ValueError(
+                f"plan: expected a period of at least {least:g} px ({what} must not be finer than "
+                f"the projector's pixels can show), found {period:g}"
+            )
+
+
+def _require_useful(
+    shape: tuple[int, int],
+    period_px: float,
+    angles: Sequence[float],
+    gray_bits: int | None,
+    full_bits: int,
+) -> None:
+    """Refuse a code that numbers one period only, or more periods than there are."""
+    width = max(high - low for low, high in (extent_px(shape, angle) for angle in angles))
+    if period_px >= width:
+        raise ValueError(
+            f"plan: expected a period below {width:g} px (the projector across the stripes), found "
+            f"{period_px:g}: there is nothing to number. Choose a smaller one, or gray none"
+        )
+    if gray_bits is None or 1 <= gray_bits <= full_bits:
+        return
+    raise ValueError(
+        f"plan: expected gray_bits from 1 to {full_bits} ({full_bits} number all periods of "
+        f"{period_px:g} px), found {gray_bits}. No code at all is gray none"
+    )
+
+
+def require_numbered(plan: PatternPlan, /) -> None:
+    """Refuse a plan whose several periods number only a part of the projector, without a code.
+
+    A single period without a code is left alone: depth range and geometry may do without.
+
+    Raises
+    ------
+    ValueError
+        With the range that the periods number.
+    """
+    if plan.projector_shape is None:
+        return
+    coded = {code.angle for code in plan.gray_sets}
+    for angle in plan.angles:
+        periods = [f.period_px for f in plan.fringe_sets if f.angle == angle]
+        low, high = extent_px(plan.projector_shape, angle)
+        if angle in coded or len(periods) < 2:
+            continue
+        numbered = unambiguous_px(periods, high - low)
+        if numbered < high - low:
+            listed = ", ".join(f"{period:g}" for period in periods)
+            raise ValueError(
+                f"plan: the periods {listed} px repeat together after {numbered:g} px; expected "
+                f"them to number all {high - low:g} px of the projector across the fringes. Add a "
+                "code (gray plain or complementary), or a period as wide as the projector"
+            )

@@ -11,23 +11,34 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from fringe3d.correspond import match_cameras, match_projector
-from fringe3d.decode import CameraPhases, decode
+from fringe3d.correspond import (
+    depths_of_orders,
+    fringe_crossing,
+    match_cameras,
+    match_projector,
+    resolve_orders,
+)
+from fringe3d.decode import CameraPhases, decode, has_mirrored_neighbours
 from fringe3d.errors import CalibrationError, EmptyResultError, Fringe3DError, MethodError
 from fringe3d.health import (
     Finding,
     check_ambiguity,
     check_epipolar,
+    check_files,
     check_phases,
     check_texture,
     check_trinocular,
     check_yield,
 )
 from fringe3d.model import (
+    NO_ORDER,
     Correspondences,
     Device,
+    Fringe,
+    GrayBit,
     ImageStack,
     MeasuringVolume,
+    PatternPlan,
     PhaseMap,
     PointCloud,
     PointMap,
@@ -44,14 +55,15 @@ from fringe3d.triangulate import (
 )
 
 Method = Literal["auto", "m1", "m2", "projector"]
+Direction = Literal["auto", "x", "y"]
 
 GAP_FACTOR = 10.0
 """Neighbouring pixels belong to one surface up to ten typical distances: slopes up to 84 deg."""
 
-MIN_PATCH_PIXELS, STRICT_PATCH_PIXELS = 30, 200
+MIN_CROSSING_SINE = 0.05
+"""3 degrees between fringes and epipolar lines; sigma is twenty times that of a square crossing."""
 
-PLAIN_CELL = 0.75
-"""Cells wider than this part of a period have edges where the phase wraps."""
+MIN_PATCH_PIXELS, STRICT_PATCH_PIXELS = 30, 200
 
 SPARSE_REACH_PX = 3
 """Gray code alone leaves out the pixels on the edges of its cells."""
@@ -69,6 +81,9 @@ class MeasureOptions:
     ----------
     method : "auto", "m1" (two cameras, full Gray code), "m2" (two cameras, reduced code, unique
         on the epipolar segment) or "projector" (one camera and the calibrated projector)
+    direction : "auto", "x" or "y"; keep only the fringes and code of this direction. "auto" keeps
+        all: one camera and the projector use two directions, two cameras that one whose fringes
+        cross the epipolar lines best
     n_shifts : int or None; keep that many of the phase steps of every set
     gray_bits : int or None; keep the finest images of every Gray code; 0 for none
     depth_mm : (min, max) or None, mm; depth range along the principal ray of C1, besides the
@@ -78,6 +93,7 @@ class MeasureOptions:
     """
 
     method: Method = "auto"
+    direction: Direction = "auto"
     n_shifts: int | None = None
     gray_bits: int | None = None
     depth_mm: tuple[float, float] | None = None
@@ -154,7 +170,9 @@ def measure(
 
     with clock("decoding"):
         phases = tuple(_decode(stack, scan.rig, method, options) for stack in stacks)
-        findings = check_phases(phases)
+        findings = check_files(stacks) + check_phases(phases)
+        if scan.rig is not None and method != "projector":
+            phases = _best_direction_first(phases, *_devices(scan.rig, stacks, method))
     main = phases[0].directions[0].main
     method = _settle(method, options, main)
     if scan.rig is None:
@@ -163,7 +181,7 @@ def measure(
     camera, other = _devices(scan.rig, stacks, method)
     volume = _volume(scan.rig, camera, options)
     with clock("finding correspondences"):
-        matches = _match(phases, camera, other, volume)
+        matches = _match(phases, camera, other, scan.rig.projector, volume)
         findings += _refuse(check_ambiguity(matches, main), MethodError)
     with clock("triangulating"):
         points = triangulate(
@@ -184,7 +202,7 @@ def measure(
 
 def keep_images(stack: ImageStack, options: MeasureOptions, /) -> ImageStack:
     """Leave out the phase steps and Gray-code images that the options do not want."""
-    kept = set(range(stack.plan.n_images))
+    kept = set(range(stack.plan.n_images)) - _other_directions(stack.plan, options.direction)
     if options.n_shifts is not None:
         for fringe_set in stack.plan.fringe_sets:
             kept -= set(fringe_set.indices) - set(_steps(fringe_set.indices, options.n_shifts))
@@ -197,6 +215,27 @@ def keep_images(stack: ImageStack, options: MeasureOptions, /) -> ImageStack:
     return stack.subset(sorted(kept))
 
 
+def _other_directions(plan: PatternPlan, direction: Direction) -> set[int]:
+    """Return the places of the images whose stripes run the other way."""
+    if direction == "auto":
+        return set()
+    wanted = {angle for angle in plan.angles if _axis(angle) == direction}
+    if not wanted:
+        raise MethodError(
+            f"--direction {direction}: expected one of the recorded directions "
+            f"{sorted({_axis(angle) for angle in plan.angles})}, found none such in the plan"
+        )
+    return {
+        index
+        for index, pattern in enumerate(plan.patterns)
+        if isinstance(pattern, Fringe | GrayBit) and pattern.angle not in wanted
+    }
+
+
+def _axis(angle: float) -> Direction:
+    return "x" if abs(np.cos(angle)) >= abs(np.sin(angle)) else "y"
+
+
 def _require_bits(stack: ImageStack, gray_bits: int) -> None:
     recorded = max((len(code.bits) for code in stack.plan.gray_sets), default=0)
     if not 0 <= gray_bits <= recorded:
@@ -204,22 +243,14 @@ def _require_bits(stack: ImageStack, gray_bits: int) -> None:
             f"--gray-bits: expected 0 to {recorded} of the {recorded} recorded code images, found "
             f"{gray_bits}"
         )
-    periods = {f.angle: f.period_px for f in stack.plan.fringe_sets}
-    for code in stack.plan.gray_sets:
-        is_plain = code.cell_px > PLAIN_CELL * periods.get(code.angle, np.inf)
-        if is_plain and 0 < gray_bits < len(code.bits):
-            raise MethodError(
-                "--gray-bits: the finest images of a plain code repeat mirrored and do not tell "
-                "neighbouring periods apart. Keep all, or record an over-determined code (cells "
-                "of half a period) or a cyclic one"
-            )
 
 
 def _steps(indices: Sequence[int], n_shifts: int) -> list[int]:
     if not 3 <= n_shifts <= len(indices):
+        wanted = "3" if len(indices) == 3 else f"3 to {len(indices)}"
         raise MethodError(
-            f"--shifts: expected 3 to {len(indices)} of the {len(indices)} recorded phase steps, "
-            f"found {n_shifts}"
+            f"--shifts: expected {wanted} of the {len(indices)} recorded phase steps, found "
+            f"{n_shifts}"
         )
     return [indices[round(i * len(indices) / n_shifts)] for i in range(n_shifts)]
 
@@ -250,6 +281,29 @@ def choose_method(rig: Rig | None, stacks: Sequence[ImageStack], options: Measur
                "record with a second camera")
         )  # fmt: skip
     return asked
+
+
+def _best_direction_first(
+    phases: tuple[CameraPhases, ...], camera: Device, other: Device
+) -> tuple[CameraPhases, ...]:
+    """Put the direction first whose phase changes fastest along the epipolar curves of C2."""
+    crossings = [
+        fringe_crossing(direction.main, camera, other) for direction in phases[1].directions
+    ]
+    best = max(range(len(crossings)), key=lambda i: np.nan_to_num(crossings[i][0]))
+    if crossings[best][1] < MIN_CROSSING_SINE:
+        raise MethodError(
+            f"two cameras: the fringes run along the epipolar lines of '{other.name}' (angle "
+            f"{np.degrees(np.arcsin(crossings[best][1])):.1f} degrees) and do not mark points on "
+            "them. Project fringes of the other direction"
+        )
+    return tuple(
+        replace(camera_phases, directions=(
+            camera_phases.directions[best],
+            *(d for i, d in enumerate(camera_phases.directions) if i != best),
+        ))
+        for camera_phases in phases
+    )  # fmt: skip
 
 
 def _settle(method: str, options: MeasureOptions, main: PhaseMap) -> str:
@@ -305,13 +359,34 @@ def _decode(
 
 
 def _match(
-    phases: Sequence[CameraPhases], camera: Device, other: Device, volume: MeasuringVolume | None
+    phases: Sequence[CameraPhases],
+    camera: Device,
+    other: Device,
+    projector: Device | None,
+    volume: MeasuringVolume | None,
 ) -> Correspondences:
     if other.role == "projector":
         maps = [direction.main for direction in phases[0].directions[:2]]
         return match_projector(maps, camera, other, volume)
     main1 = phases[0].directions[0].main
     main2 = phases[1].directions[0].like(main1)
+    if main1.is_absolute:
+        return match_cameras(main1, main2, camera, other, volume)
+    if projector is not None and volume is not None:
+        # The projector tells which order of the class can be, and where on the segment it lies.
+        resolved = resolve_orders(main1, camera, projector, volume)
+        depths = depths_of_orders(resolved, camera, projector)
+        main1 = main1.rejecting(resolved.rejection)
+        matches = match_cameras(main1, main2, camera, other, volume, depths_mm=depths)
+        order = np.where(matches.rejection == 0, resolved.order_class, NO_ORDER)
+        return replace(matches, fringe_order=order)
+    if has_mirrored_neighbours(main1):
+        raise MethodError(
+            "--gray-bits: the finest images of a plain code repeat mirrored and do not tell all "
+            "neighbouring periods apart; a calibrated projector and the depth range would tell "
+            "where. Keep all, or record an over-determined code (cells of half a period) or a "
+            "cyclic one"
+        )
     return match_cameras(main1, main2, camera, other, volume)
 
 

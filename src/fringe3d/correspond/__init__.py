@@ -1,6 +1,12 @@
 """Where another device sees what a pixel of C1 sees."""
 
-from fringe3d.correspond.projector import match_projector
-from fringe3d.correspond.stereo import match_cameras
+from fringe3d.correspond.projector import depths_of_orders, match_projector, resolve_orders
+from fringe3d.correspond.stereo import fringe_crossing, match_cameras
 
-__all__ = ["match_cameras", "match_projector"]
+__all__ = [
+    "depths_of_orders",
+    "fringe_crossing",
+    "match_cameras",
+    "match_projector",
+    "resolve_orders",
+]

@@ -56,7 +56,7 @@ def match_projector(
     camera, projector : Device
     volume : MeasuringVolume or None
         Needed where the code is reduced: the order is then the only one of its class on the
-        pixel's epipolar segment (AMBIGUOUS where there are several).
+        pixel's epipolar segment (AMBIGUOUS where there are several), in each direction.
 
     Returns
     -------
@@ -65,17 +65,11 @@ def match_projector(
     Raises
     ------
     MethodError
-        If the code is reduced and there is no volume, or two directions are not both absolute.
+        If the code is reduced and there is no volume.
     """
-    first, *more = maps
+    first, *more = [resolve_orders(phases, camera, projector, volume) for phases in maps]
     if not more:
-        resolved = resolve_orders(first, camera, projector, volume)
-        return _on_curve(resolved, camera, projector)
-    if not (first.is_absolute and more[0].is_absolute):
-        raise MethodError(
-            f"camera '{camera.name}': two directions give a projector point only if the code "
-            "numbers all periods in both. Keep more bits, or measure with one direction"
-        )
+        return _on_curve(first, camera, projector)
     return _from_two_directions(first, more[0], camera, projector)
 
 
@@ -109,21 +103,43 @@ def resolve_orders(
         fits &= (turns + order >= lowest - guard) & (turns + order <= highest + guard)
         count += fits
         chosen[fits] = order
-    rejection = phases.rejection.copy()
+    rejection = np.zeros(valid.shape, np.uint16)
     found = np.zeros(valid.shape, np.int32)
     found[valid] = count
     reject(rejection, valid & (found == 0), Rejection.NO_MATCH)
     reject(rejection, found > 1, Rejection.AMBIGUOUS)
     order_map = np.full(valid.shape, NO_ORDER, np.int32)
-    order_map[valid] = np.where(count == 1, chosen, NO_ORDER)
-    n_orders = len(phases.class_of_order)
-    return replace(
-        phases,
-        phase=np.where(rejection == 0, phases.phase, np.nan),
-        order_class=order_map,
-        class_of_order=np.arange(n_orders, dtype=np.int32) + phases.first_order,
-        rejection=rejection,
-    )
+    order_map[valid] = chosen
+    all_orders = np.arange(len(phases.class_of_order), dtype=np.int32) + phases.first_order
+    resolved = replace(phases, order_class=order_map, class_of_order=all_orders)
+    return resolved.rejecting(rejection)
+
+
+def depths_of_orders(
+    phases: PhaseMap, camera: Device, projector: Device, /
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return where the viewing rays cross the period around their phase.
+
+    Parameters
+    ----------
+    phases : PhaseMap of the camera, absolute
+    camera, projector : Device
+
+    Returns
+    -------
+    near, far : (row, col) float64, mm
+        Distances along the rays, half a period before and behind the phase; NaN where the pixel
+        is rejected or the sheets are not met.
+    """
+    valid = phases.rejection == 0
+    origin, directions = rays(camera, pixel_grid(valid.shape)[valid])
+    ends = []
+    for half in (-0.5, 0.5):
+        position = phases.position_px[valid] + half * phases.period_px
+        depth = np.full(valid.shape, np.nan)
+        depth[valid] = sheet_crossing(projector, origin, directions, position, phases.angle)
+        ends.append(depth)
+    return np.minimum(*ends), np.maximum(*ends)
 
 
 def _order_range(

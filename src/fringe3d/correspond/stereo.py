@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from fringe3d.correspond import _search
 from fringe3d.errors import MethodError
-from fringe3d.geometry import depth_interval, frustum, pixel_grid, rays
+from fringe3d.geometry import depth_interval, frustum, pixel_grid, project, rays
 from fringe3d.geometry.projection import lens_of
 from fringe3d.model import (
     NO_ORDER,
@@ -22,6 +22,8 @@ from fringe3d.model.rejection import reject
 OUTSIDE_VOLUME = 9
 """State of a ray that does not meet the measuring volume; the search has its own states."""
 
+SAMPLE = 20_000
+
 INTERPOLATION_WEIGHT = 4.0 / 9.0
 """Mean sum of squared weights of a bilinear interpolation at a random place, (2/3)**2."""
 
@@ -33,6 +35,8 @@ def match_cameras(
     camera2: Device,
     volume: MeasuringVolume | None,
     /,
+    *,
+    depths_mm: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None,
 ) -> Correspondences:
     """Find in C2 the point with the phase and order of each pixel of C1.
 
@@ -46,6 +50,8 @@ def match_cameras(
     phases1, phases2 : PhaseMap of C1 and C2, of the same fringes
     camera1, camera2 : Device
     volume : MeasuringVolume or None
+    depths_mm : two (row, col) maps or None, mm
+        Narrower ends of the segments, distances along the viewing rays, where more is known.
 
     Returns
     -------
@@ -63,6 +69,8 @@ def match_cameras(
     seen = frustum(camera2)
     bounds = seen if volume is None else volume.intersection(seen)
     near, far = depth_interval(origin, directions, bounds)
+    if depths_mm is not None:
+        near, far = np.fmax(near, depths_mm[0][valid]), np.fmin(far, depths_mm[1][valid])
     found = np.empty((len(near), 3))
     state = np.empty(len(near), np.int8)
     to_c2 = camera2.device_from_world
@@ -83,6 +91,39 @@ def match_cameras(
         enter, leave = depth_interval(origin, directions, volume)
         state[~(enter < leave)] = OUTSIDE_VOLUME
     return _correspondences(phases1, phases2, camera2.name, valid, found, state)
+
+
+def fringe_crossing(phases2: PhaseMap, camera1: Device, camera2: Device, /) -> tuple[float, float]:
+    """Tell how the fringes in C2 lie to the epipolar curves.
+
+    Returns
+    -------
+    gradient, sine : float
+        Medians of the phase gradient along the curve, rad / px, and of the sine of the angle
+        between fringe and curve: 1 where they cross squarely, 0 where they are parallel and no
+        point can be found. NaN where nothing is decoded.
+    """
+    phase = phases2.phase.astype(np.float64)
+    dx, dy = np.full_like(phase, np.nan), np.full_like(phase, np.nan)
+    dx[:, 1:-1], dy[1:-1] = phase[:, 2:] - phase[:, :-2], phase[2:] - phase[:-2]
+    gradient = np.stack([dx, dy], axis=-1)
+    gradient = (gradient - 2 * np.pi * np.rint(gradient / (2 * np.pi))) / 2
+    places = np.argwhere(np.isfinite(gradient).all(axis=-1))
+    places = places[:: max(1, len(places) // SAMPLE)]
+    if not len(places):
+        return float("nan"), float("nan")
+    pixels = places[:, ::-1].astype(np.float64)
+    gradient = gradient[places[:, 0], places[:, 1]]
+    origin2, directions2 = rays(camera2, pixels)
+    # Any depth will do: the point moves along the same line.
+    depth = 10 * float(np.linalg.norm(origin2 - camera1.center_world))
+    points = origin2 + depth * directions2
+    moved = points + 1e-3 * (points - camera1.center_world)
+    curve = project(camera2, moved) - project(camera2, points)
+    curve /= np.linalg.norm(curve, axis=1, keepdims=True)
+    along = np.abs((gradient * curve).sum(axis=1))
+    steepness = np.maximum(np.linalg.norm(gradient, axis=1), 1e-12)
+    return float(np.nanmedian(along)), float(np.nanmedian(along / steepness))
 
 
 def _require_same_fringes(a: PhaseMap, b: PhaseMap) -> None:

@@ -1,6 +1,7 @@
 """From images to phase: wrapped phase, Gray code, several periods."""
 
 from fringe3d.decode.camera import CameraPhases, DirectionPhases, decode
+from fringe3d.decode.order import has_mirrored_neighbours
 from fringe3d.decode.phase import wrapped_phase
 
-__all__ = ["CameraPhases", "DirectionPhases", "decode", "wrapped_phase"]
+__all__ = ["CameraPhases", "DirectionPhases", "decode", "has_mirrored_neighbours", "wrapped_phase"]

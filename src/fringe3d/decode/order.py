@@ -21,6 +21,10 @@ PHASE_BINS = 16
 MAX_MISREAD = 0.25
 """Periods by which a code edge may seem to be displaced: half the smallest cell."""
 
+CLEAR_BIT = 0.5
+"""Part of the fringe modulation that a bit must differ from its threshold by to count as clear;
+bits swing as far as the fringes, except on the blurred edges of their cells."""
+
 EDGE_REACH = 0.25
 """Part of a cell (at most a period) around its edges in which a bit may be misread."""
 
@@ -57,15 +61,15 @@ class OrderTable:
     Parameters
     ----------
     by_word : (2**n, PHASE_BINS) int32; class, or `NO_ORDER` where word and phase contradict
-    alternative : (2**n, PHASE_BINS) int32
-        Class that would show this word if one bit was misread at its edge nearby; `NO_ORDER`
-        where there is none, or no other.
+    alternatives : (2**n, PHASE_BINS, 2) int32
+        Other classes that would show this word if one bit was misread at its edge nearby;
+        `NO_ORDER` where there are fewer than two.
     naive : (2**n,) int32; class that the word alone would give; `NO_ORDER` for none or several
     classes : OrderClasses
     """
 
     by_word: NDArray[np.int32]
-    alternative: NDArray[np.int32]
+    alternatives: NDArray[np.int32]
     naive: NDArray[np.int32]
     classes: OrderClasses
 
@@ -80,7 +84,8 @@ def order_table(
     everywhere form one class. Where the phase says that an edge of the code is near, the word
     from across that edge is accepted, too: so a bit that was misread at its edge does no harm.
     Where that word has a meaning of its own (a plain code has its edges where the phase wraps;
-    the low bits of a reflected code repeat mirrored) it is kept as the alternative.
+    the low bits of a reflected code repeat mirrored, so that both neighbours of a class may come
+    into question) it is kept as an alternative.
 
     Parameters
     ----------
@@ -99,7 +104,7 @@ def order_table(
         np.int32,
     )
     by_word = np.full((1 << len(gray_set.bits), PHASE_BINS), NO_ORDER, np.int32)
-    alternative = by_word.copy()
+    alternatives = np.repeat(by_word[..., None], 2, axis=-1)
     all_bins = np.arange(PHASE_BINS)
     reach = EDGE_REACH * min(gray_set.cell_px / period_px, 1.0)
     for shift in _nearest_first():
@@ -111,11 +116,25 @@ def order_table(
             row, bins = all_words[inside], all_bins[inside]
             empty = by_word[row, bins] == NO_ORDER
             by_word[row[empty], bins[empty]] = name
-            other = (by_word[row, bins] != name) & (alternative[row, bins] == NO_ORDER)
             if abs(shift) <= reach:
-                alternative[row[other], bins[other]] = name
+                _add_alternative(alternatives, row, bins, name, by_word)
     naive = _naive(words, class_of_order, len(by_word))
-    return OrderTable(by_word, alternative, naive, OrderClasses(int(orders[0]), class_of_order))
+    return OrderTable(by_word, alternatives, naive, OrderClasses(int(orders[0]), class_of_order))
+
+
+def _add_alternative(
+    alternatives: NDArray[np.int32],
+    row: NDArray[np.int32],
+    bins: NDArray[np.intp],
+    name: np.int32,
+    by_word: NDArray[np.int32],
+) -> None:
+    """Put a class into the first empty place, unless it is known there already."""
+    new = (by_word[row, bins] != name) & (alternatives[row, bins] != name).all(axis=-1)
+    for place in range(alternatives.shape[-1]):
+        here = new & (alternatives[row, bins, place] == NO_ORDER)
+        alternatives[row[here], bins[here], place] = name
+        new &= ~here
 
 
 def _naive(
@@ -139,7 +158,8 @@ def order_from_code(wrapped: WrappedPhaseMap, words: CodeWords, table: OrderTabl
     """Combine wrapped phase and code words.
 
     Next to code edges that leave an alternative, the nearest pixel without one decides: the
-    absolute phase is continuous.
+    absolute phase is continuous. Where that pixel lies on another surface, the word counts only
+    if all its bits are clear.
 
     Parameters
     ----------
@@ -157,9 +177,11 @@ def order_from_code(wrapped: WrappedPhaseMap, words: CodeWords, table: OrderTabl
     bins = np.where(valid, phase * (PHASE_BINS / TWO_PI), 0).astype(np.int32) % PHASE_BINS
     order = np.where(valid, table.by_word[words.word, bins], NO_ORDER).astype(np.int32)
     naive = table.naive[words.word]
-    alternative = np.where(valid, table.alternative[words.word, bins], NO_ORDER).astype(np.int32)
+    alternatives = table.alternatives[words.word, bins]
+    alternatives[~valid] = NO_ORDER
     looked_up = order
-    order = _mend_at_edges(order, alternative, phase, table.classes)
+    is_clear = words.contrast_dn >= CLEAR_BIT * wrapped.modulation
+    order = _mend_at_edges(order, alternatives, phase, is_clear, table.classes)
     known = order != NO_ORDER
     rejection = wrapped.rejection.copy()
     reject(rejection, valid & ~known, Rejection.INCONSISTENT_CODE)
@@ -204,12 +226,13 @@ def phase_map(
 
 def _mend_at_edges(
     order: NDArray[np.int32],
-    alternative: NDArray[np.int32],
+    alternatives: NDArray[np.int32],
     phase: NDArray[np.float32],
+    is_clear: NDArray[np.bool_],
     classes: OrderClasses,
 ) -> NDArray[np.int32]:
-    """Take the alternative where it continues the phase of the nearest safe pixel."""
-    unsafe = alternative != NO_ORDER
+    """Take what continues the phase of the nearest safe pixel; else only clear words."""
+    unsafe = (alternatives != NO_ORDER).any(axis=-1)
     safe = (order != NO_ORDER) & ~unsafe
     if not (safe.any() and unsafe.any()):
         return order
@@ -220,8 +243,11 @@ def _mend_at_edges(
     index = expected - classes.first_order
     for step in (1, -1):
         expected = np.where(turns == step, _neighbour_classes(classes, step)[index], expected)
+    possible = np.column_stack([order[unsafe], alternatives[unsafe]])
+    continues = (expected != NO_ORDER) & (possible == expected[:, None]).any(axis=1)
+    by_word = np.where(is_clear[unsafe], order[unsafe], NO_ORDER)
     mended = order.copy()
-    mended[unsafe] = np.where(expected == alternative[unsafe], expected, order[unsafe])
+    mended[unsafe] = np.where(continues, expected, by_word)
     return mended
 
 
@@ -235,6 +261,12 @@ def _neighbour_classes(orders: OrderClasses, step: int) -> NDArray[np.int32]:
         if len(members) and (classes[members] == classes[members[0]]).all():
             result[name - orders.first_order] = classes[members[0]]
     return result
+
+
+def has_mirrored_neighbours(phases: PhaseMap, /) -> bool:
+    """Tell whether a code leaves neighbouring periods in one class, as a plain one cut short."""
+    classes = phases.class_of_order
+    return bool(classes.min() < classes.max() and (np.diff(classes) == 0).any())
 
 
 def order_unknown(wrapped: WrappedPhaseMap, extent_px: tuple[float, float], /) -> PhaseMap:

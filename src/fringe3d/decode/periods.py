@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from fringe3d.decode.order import OrderClasses, all_orders, phase_map, positive_phase
 from fringe3d.model import NO_ORDER, PhaseMap, Rejection, WrappedPhaseMap
 from fringe3d.model.rejection import reject
+from fringe3d.patterns import unambiguous_px
 
 TWO_PI = 2 * np.pi
 
@@ -19,6 +20,9 @@ MIN_EVIDENCE = 9.0
 MAX_RESIDUAL_SIGMA = 6.0
 SYSTEMATIC_RAD = 0.03
 """Phase error that gamma and defocus leave in real fringes, added to the noise."""
+
+EXACTLY_ALIKE = SYSTEMATIC_RAD / TWO_PI
+"""Periods; what differs more may be told apart, if the noise of the pixel allows."""
 
 MAX_UNWRAP_RESIDUAL = 0.35
 """Periods; an order from a coarser phase is right below 0.5, and worth nothing close to it."""
@@ -53,7 +57,8 @@ def order_from_periods(
     Every order k of the finest period is a hypothesis for the position w; the other phases
     must then be ``2 pi w / period_j``. The order with the smallest chi-square wins, provided
     that the second is clearly worse. One period as wide as the projector (hierarchical) or a
-    beat of two close ones (heterodyne) are special cases.
+    beat of two close ones (heterodyne) are special cases. Where all phases repeat within the
+    projector, the orders that look alike form one class (`PhaseMap`).
 
     Parameters
     ----------
@@ -66,7 +71,7 @@ def order_from_periods(
         Of the finest period. INCONSISTENT_CODE where no order fits, AMBIGUOUS where two do.
     """
     finest, *others = sorted(maps, key=lambda m: m.period_px)
-    orders = all_orders(finest.period_px, extent_px)
+    orders = _alike(all_orders(finest.period_px, extent_px), maps)
     rejection = np.bitwise_or.reduce([m.rejection for m in maps])
     phase = positive_phase(finest.phase)
     order = np.full(phase.shape, NO_ORDER, np.int32)
@@ -77,6 +82,16 @@ def order_from_periods(
         order.ravel()[part] = best
         rejection.ravel()[part] |= reason
     return phase_map(finest, phase, order, orders, rejection)
+
+
+def _alike(orders: OrderClasses, maps: Sequence[WrappedPhaseMap]) -> OrderClasses:
+    """Put orders of the finest period into one class where all periods repeat between them."""
+    first, classes = orders.first_order, orders.class_of_order
+    finest = min(m.period_px for m in maps)
+    periods = [m.period_px for m in maps]
+    range_px = unambiguous_px(periods, len(classes) * finest, alike=EXACTLY_ALIKE)
+    cycle = round(range_px / finest)
+    return OrderClasses(first, np.asarray(first + (classes - first) % cycle, np.int32))
 
 
 def _search(
@@ -95,7 +110,7 @@ def _search(
         ratio = np.float32(finest.period_px / other.period_px)
         variance = other.phase_std.ravel()[part] ** 2 + ratio**2 * fine_variance
         terms.append((ratio, other.phase.ravel()[part], variance + np.float32(SYSTEMATIC_RAD**2)))
-    for order in orders.class_of_order:
+    for order in np.unique(orders.class_of_order):
         cost = np.zeros(len(part), np.float32)
         for ratio, phase, variance in terms:
             # The whole turns of the hypothesis go first, in double precision.

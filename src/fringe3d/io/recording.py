@@ -15,6 +15,8 @@ from fringe3d.io.rigfile import read_rig
 from fringe3d.io.scanfile import CameraTable, ScanTable, read_scan_table
 from fringe3d.model import ImageStack, PatternPlan, Rig, Scan
 
+LOSSY_SUFFIXES = {".jpg", ".jpeg"}
+
 Progress = Callable[[str, int, int], None]
 """Called with the name of the work, the steps done and the steps there are."""
 
@@ -58,6 +60,7 @@ def read_scan(
     rig_file = rig or (file.parent / table.rig if table.rig else None)
     the_rig = read_rig(rig_file) if rig_file else None
     plan = _plan(file, table, the_rig)
+    _require_images(file, table, images)
     listed = [
         _image_files(table, camera, _base_folder(file, table, camera, images), plan.n_images)
         for camera in table.cameras
@@ -89,6 +92,31 @@ def _plan(file: Path, table: ScanTable, rig: Rig | None) -> PatternPlan:
     return PatternPlan(patterns=plan.patterns, projector_shape=rig.projector.shape)
 
 
+def _require_images(file: Path, table: ScanTable, images: Path | None) -> None:
+    """Refuse a folder that is none, or that holds no image of any camera."""
+    if images is not None and not images.is_dir():
+        found = "a file" if images.exists() else "none"
+        raise ImageError(
+            f"--images {images}: expected the folder of the images, found {found}. Name the "
+            "folder of the recording, or one above it"
+        )
+    for camera in table.cameras:
+        if _matches(_base_folder(file, table, camera, images), camera, None):
+            return
+    first = table.cameras[0]
+    path = PurePosixPath(table.folder) / (first.files[0] if first.files else first.images or "")
+    where = file.parent if images is None else f"--images {images}"
+    to_do = (
+        "Name the folder of the images with --images"
+        if images is None
+        else "Name the folder of the recording, or one above it"
+    )
+    raise ImageError(
+        f"{where}: expected the images of camera '{first.name}' as '{path}' in this folder, found "
+        f"none. {to_do}"
+    )
+
+
 def _base_folder(file: Path, table: ScanTable, camera: CameraTable, images: Path | None) -> Path:
     """Return the folder that the image paths start from.
 
@@ -96,8 +124,6 @@ def _base_folder(file: Path, table: ScanTable, camera: CameraTable, images: Path
     parts: so the folder of the recording, or any folder above it, can be given.
     """
     base = images if images is not None else file.parent
-    if not base.is_dir():
-        raise ImageError(f"{base}: expected the folder of the images, found none. Check --images")
     parts = PurePosixPath(table.folder).parts
     tails = [base.joinpath(*parts[skip:]) for skip in range(len(parts) + 1)]
     probe = camera.files[0] if camera.files else (camera.images or "")
@@ -230,6 +256,7 @@ def _stack(
         saturation_dn=table.saturation,
         black_level_dn=table.black_level_dn,
         noise=table.noise.model() if table.noise else None,
+        is_lossy=any(file.suffix.lower() in LOSSY_SUFFIXES for file in files),
     )
 
 

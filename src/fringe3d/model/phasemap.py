@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -110,6 +110,16 @@ class PhaseMap:
             rejection=np.uint16,
         )
         object.__setattr__(self, "class_of_order", frozen(self.class_of_order, np.int32))
+
+    def rejecting(self, rejection: NDArray[np.uint16]) -> PhaseMap:
+        """Return the map with these `Rejection` bits added, (row, col)."""
+        bad = rejection != 0
+        return replace(
+            self,
+            phase=np.where(bad, np.nan, self.phase),
+            order_class=np.where(bad, NO_ORDER, self.order_class),
+            rejection=self.rejection | rejection,
+        )
 
     @property
     def is_absolute(self) -> bool:

@@ -43,6 +43,7 @@ class ImageStack:
     saturation_dn : float, DN; grey values from here on are saturated
     black_level_dn : float, DN; grey value without light
     noise : NoiseModel or None (estimated from the images)
+    is_lossy : bool; the image files were compressed with loss (JPEG)
     """
 
     images: NDArray[np.unsignedinteger[Any]]
@@ -51,6 +52,7 @@ class ImageStack:
     saturation_dn: float
     black_level_dn: float = 0.0
     noise: NoiseModel | None = None
+    is_lossy: bool = False
 
     def __post_init__(self) -> None:
         images = np.asarray(self.images)
@@ -81,4 +83,5 @@ class ImageStack:
             saturation_dn=self.saturation_dn,
             black_level_dn=self.black_level_dn,
             noise=self.noise,
+            is_lossy=self.is_lossy,
         )

@@ -13,6 +13,38 @@ from fringe3d.model.device import Device
 CYLINDER_SIDES = 64
 """Sides of the prism around a cylinder; its corners stand out by 0.12 % of the radius."""
 
+Vector = tuple[float, float, float]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BoxShape:
+    """An axis-parallel box of the world frame, mm."""
+
+    min_mm: Vector
+    max_mm: Vector
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CylinderShape:
+    """A cylinder of the world frame, mm."""
+
+    center_mm: Vector
+    axis: Vector
+    radius_mm: float
+    height_mm: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SlabShape:
+    """The depths between two distances along the principal ray of a device, mm."""
+
+    device: str
+    depth_min_mm: float
+    depth_max_mm: float
+
+
+Shape = BoxShape | CylinderShape | SlabShape
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class MeasuringVolume:
@@ -22,6 +54,8 @@ class MeasuringVolume:
     ----------
     normals : (n, 3) float; pointing outwards, made unit length
     offsets_mm : (n,) float, mm
+    shape : BoxShape, CylinderShape, SlabShape or None
+        What the half-spaces stand for, where that is known; it has no influence on them.
 
     Examples
     --------
@@ -32,8 +66,11 @@ class MeasuringVolume:
 
     normals: NDArray[np.float64]
     offsets_mm: NDArray[np.float64]
+    shape: Shape | None
 
-    def __init__(self, *, normals: ArrayLike, offsets_mm: ArrayLike) -> None:
+    def __init__(
+        self, *, normals: ArrayLike, offsets_mm: ArrayLike, shape: Shape | None = None
+    ) -> None:
         raw, offsets = np.asarray(normals, np.float64), np.asarray(offsets_mm, np.float64)
         require_shape("volume: normals", raw, (-1, 3))
         require_shape("volume: offsets_mm", offsets, (len(raw),))
@@ -44,6 +81,7 @@ class MeasuringVolume:
             raise ValueError("volume: normals: expected non-zero vectors, found a zero vector")
         object.__setattr__(self, "normals", frozen(raw / lengths[:, None], np.float64))
         object.__setattr__(self, "offsets_mm", frozen(offsets / lengths, np.float64))
+        object.__setattr__(self, "shape", shape)
 
     @staticmethod
     def box(lower_mm: ArrayLike, upper_mm: ArrayLike) -> MeasuringVolume:
@@ -55,7 +93,9 @@ class MeasuringVolume:
                 f"found {lower.tolist()} and {upper.tolist()}"
             )
         return MeasuringVolume(
-            normals=np.vstack([np.eye(3), -np.eye(3)]), offsets_mm=np.concatenate([upper, -lower])
+            normals=np.vstack([np.eye(3), -np.eye(3)]),
+            offsets_mm=np.concatenate([upper, -lower]),
+            shape=BoxShape(min_mm=_vector(lower), max_mm=_vector(upper)),
         )
 
     @staticmethod
@@ -80,7 +120,13 @@ class MeasuringVolume:
         sides = np.cos(angles)[:, None] * basis[1] + np.sin(angles)[:, None] * basis[2]
         normals = np.vstack([sides, direction, -direction])
         reach = np.r_[np.full(CYLINDER_SIDES, radius_mm), height_mm / 2, height_mm / 2]
-        return MeasuringVolume(normals=normals, offsets_mm=normals @ center + reach)
+        shape = CylinderShape(
+            center_mm=_vector(center),
+            axis=_vector(axis),
+            radius_mm=float(radius_mm),
+            height_mm=float(height_mm),
+        )
+        return MeasuringVolume(normals=normals, offsets_mm=normals @ center + reach, shape=shape)
 
     @staticmethod
     def depth_slab(device: Device, *, depth_min_mm: float, depth_max_mm: float) -> MeasuringVolume:
@@ -100,6 +146,11 @@ class MeasuringVolume:
         return MeasuringVolume(
             normals=np.vstack([forward, -forward]),
             offsets_mm=[depth_max_mm - offset, offset - depth_min_mm],
+            shape=SlabShape(
+                device=device.name,
+                depth_min_mm=float(depth_min_mm),
+                depth_max_mm=float(depth_max_mm),
+            ),
         )
 
     def intersection(self, other: MeasuringVolume) -> MeasuringVolume:
@@ -116,3 +167,8 @@ class MeasuringVolume:
         for normal, offset in zip(self.normals, self.offsets_mm, strict=True):
             inside &= points @ normal <= offset
         return inside
+
+
+def _vector(values: ArrayLike) -> Vector:
+    x, y, z = np.asarray(values, np.float64).tolist()
+    return x, y, z
