@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from closed_form import SphereScene, Truth, demo_rig, simulate
 from fringe3d.model import Rig, Scan
 from fringe3d.patterns import sequence
-from fringe3d.simulate import SphereScene, Truth, demo_rig, simulate
 
 SEED = 20261122
 

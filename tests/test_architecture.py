@@ -31,14 +31,14 @@ ALLOWED: dict[str, set[str]] = {
 }
 
 EDGE_LIBRARIES = {
-    "cv2": {"io"},
+    "cv2": {"io", "simulate"},
     "tifffile": {"io"},
     "tomlkit": {"io"},
     "pydantic": {"io"},
     "matplotlib": {"report"},
     "rich": {"cli"},
     "cyclopts": {"cli"},
-    "numba": {"geometry", "decode", "correspond"},
+    "numba": {"geometry", "decode", "correspond", "simulate"},
 }
 
 FILES = sorted(SOURCE.rglob("*.py"))

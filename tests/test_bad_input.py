@@ -20,13 +20,13 @@ import pytest
 import tifffile
 from numpy.typing import NDArray
 
+from closed_form import SphereScene, demo_rig, simulate
 from fringe3d.cli import main
 from fringe3d.errors import OutputError
 from fringe3d.io.atomic import write_text
 from fringe3d.io.scanfolder import write_scan
 from fringe3d.model import PatternPlan
 from fringe3d.patterns import sequence
-from fringe3d.simulate import SphereScene, demo_rig, simulate
 
 SIZE = (160, 128)
 PERIOD_PX = 32.0
@@ -317,6 +317,8 @@ CYLINDER = (
     'kind = "cylinder"\ncenter_mm = [0, 0, 0]\naxis = [0, 0, {}]\nradius_mm = {}\nheight_mm = 20'
 )
 
+LISTED = [f"c1/{index:03d}.png" for index in range(10)]
+
 PATHS = [
     Case(
         "first image missing",
@@ -379,14 +381,37 @@ PATHS = [
     Case(
         "images folder missing",
         nothing,
-        r"elsewhere: expected the folder of the images, found none\. Check --images",
+        r"--images elsewhere: expected the folder of the images, found none\. Name the folder",
         ("--images", "elsewhere"),
     ),
     Case(
         "file in place of the images folder",
         nothing,
-        r"scan/rig\.toml: expected the folder of the images, found none\. Check --images",
+        r"--images scan/rig\.toml: expected the folder of the images, found a file\. Name the",
         ("--images", "scan/rig.toml"),
+    ),
+    Case(
+        "images folder of something else",
+        lambda scan: (scan / "../elsewhere").mkdir(),
+        r"--images elsewhere: expected the images of camera 'c1' as 'c1/\{index:03d\}\.png' in "
+        r"this folder, found none\. Name the folder of the recording",
+        ("--images", "elsewhere"),
+    ),
+    Case(
+        "images folder of something else for listed files",
+        everything(
+            at_top("scan.toml", 'folder = "set"'),
+            replace("scan.toml", 'images = "c1/{index:03d}.png"', f"files = {LISTED}"),
+            one_camera,
+        ),
+        r"--images scan/c2: expected the images of camera 'c1' as 'set/c1/000\.png' in this folder",
+        ("--images", "scan/c2"),
+    ),
+    Case(
+        "images that do not lie beside the scan file",
+        remove("c1", "c2"),
+        r"scan: expected the images of camera 'c1' as 'c1/\{index:03d\}\.png' in this folder, "
+        r"found none\. Name the folder of the images with --images",
     ),
     Case(
         "wildcard fits several files",
@@ -533,6 +558,11 @@ PLAN = [
         "no image indices",
         at_top("scan.toml", "image_indices = []"),
         r"scan\.toml: image_indices: expected 10 numbers.*, found 0\. Correct",
+    ),
+    Case(
+        "one image index twice",
+        at_top("scan.toml", "image_indices = [0, 1, 2, 3, 4, 5, 3, 7, 8, 0]"),
+        r"scan\.toml: image_indices: expected a different image .*, found 0, 3 more than once\. C",
     ),
     Case(
         "unknown key",
@@ -929,9 +959,68 @@ PATTERNS = [
         ("patterns of one length", ("--size", "1024", "--period", "16"), r"--size: .*'1024'"),
         ("patterns without a size", ("--period", "16"), r"--size requires an argument"),
         ("patterns without a period", ("--size", "64x48"), r"--period requires an argument"),
-        ("patterns of period 0", ("--size", "64x48", "--period", "0"), r"--period\. .*at least 1"),
-        ("patterns of period -8", ("--size", "64x48", "--period=-8"), r"--period\. .*at least 1"),
-        ("patterns of period NaN", ("--size", "64x48", "--period", "nan"), r"--period\. .*least 1"),
+        ("patterns of period 0", ("--size", "64x48", "--period", "0"), r"at least 2 px.*found 0\."),
+        ("patterns of period -8", ("--size", "64x48", "--period=-8"), r"at least 2 px.*found -8\."),
+        (
+            "patterns of period 1.9",
+            ("--size", "64x48", "--period", "1.9"),
+            r"least 2 .*found 1\.9\.",
+        ),
+        (
+            "patterns of period NaN",
+            ("--size", "64x48", "--period", "nan"),
+            r"least 2 .*found nan\.",
+        ),
+        (
+            "patterns of half a pixel",
+            ("--size", "64x48", "--period", "0.5", "--steps", "0"),
+            r"at least 1 px \(cells of a code .*found 0\.5\.",
+        ),
+        (
+            "patterns of one period twice",
+            ("--size", "64x48", "--period", "8", "--period", "8"),
+            r"expected different periods, found \[8\.0, 8\.0\]\.",
+        ),
+        (
+            "patterns of a period as wide as the projector",
+            ("--size", "64x48", "--period", "64"),
+            r"expected a period below 64 px .*found 64: there is nothing to number\. Choose",
+        ),
+        (
+            "patterns of a period higher than the projector",
+            ("--size", "64x48", "--period", "48", "--direction", "y"),
+            r"expected a period below 48 px .*found 48",
+        ),
+        (
+            "patterns of periods that repeat together",
+            ("--size", "1024x768", "--period", "16", "--period", "32", "--gray", "none"),
+            r"fringes of 16, 32 px look alike again after 32 px; .* all 1024 px .*Add a code",
+        ),
+        (
+            "patterns of periods whose beat is too short",
+            ("--size", "1024x768", "--period", "16", "--period", "17", "--gray", "none"),
+            r"fringes of 16, 17 px look alike again after 272 px; .* all 1024 px .*Add a code",
+        ),
+        (
+            "patterns of an angle and a direction",
+            ("--size", "64x48", "--period", "8", "--angle", "30", "--direction", "x"),
+            r"--angle, --direction: expected one of them, found 30 and x\. Leave one out",
+        ),
+        (
+            "patterns of more Gray-code bits than periods",
+            ("--size", "64x48", "--period", "8", "--gray-bits", "4"),
+            r"gray_bits from 1 to 3 \(3 number all periods of 8 px\), found 4\.",
+        ),
+        (
+            "patterns of Gray-code bits without a code",
+            ("--size", "64x48", "--period", "8", "--gray", "none", "--gray-bits", "2"),
+            r"expected no gray_bits with gray none, found 2\.",
+        ),
+        (
+            "patterns of one step",
+            ("--size", "64x48", "--period", "16", "--steps", "1"),
+            r"expected at least 3 phase steps, found 1\.",
+        ),
         (
             "patterns of two steps",
             ("--size", "64x48", "--period", "16", "--steps", "2"),
@@ -983,21 +1072,21 @@ IMPORTS = [
     Case(
         "import of shifts that are no numbers",
         nothing,
-        r"--sequence: shifts_deg: expected numbers with commas .*, found '0,abc,9'\. Correct",
+        r"--sequence '.*': shifts_deg: expected numbers with commas .*, found '0,abc,9'\. Correct",
         (*CAMERA, "--sequence", "fringes period_px=32 shifts_deg=0,abc,9"),
         IMPORT,
     ),
     Case(
         "import of an unknown kind",
         nothing,
-        r"new\.toml: sequence\[1\]: expected one of .*'gray'.*, found 'grey'\. Correct",
+        r"--sequence 'grey n_bits=3': expected one of the kinds .*gray.*, found 'grey'\. Correct",
         (*CAMERA, "--sequence", FRINGES, "--sequence", "grey n_bits=3"),
         IMPORT,
     ),
     Case(
         "import of a first index that is none",
         nothing,
-        r"new\.toml: cameras\[0\] 'c1': first_index: expected a whole number, found 'x'\. Correct",
+        r"--camera 'c1=.*@x': expected a whole number, .*, found 'x'\. Correct",
         ("--camera", "c1=c1/{index:03d}.png@x", "--sequence", FRINGES),
         IMPORT,
     ),

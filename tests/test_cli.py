@@ -3,21 +3,22 @@
 from __future__ import annotations
 
 import json
+import shlex
 import shutil
+import tomllib
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 import trimesh
+from matplotlib.figure import Figure
 
+from closed_form import Truth
 from fringe3d.cli import main
 from fringe3d.io.images import read_image
-from fringe3d.io.rigfile import read_rig
 from fringe3d.io.scanfolder import write_scan
-from fringe3d.model import Rejection, Rig, Scan
+from fringe3d.model import Rejection, Scan
 from fringe3d.patterns import pattern_image
-from fringe3d.simulate import Truth
 
 Recording = tuple[Scan, tuple[Truth, ...]]
 
@@ -63,6 +64,26 @@ def test_measure_prints_json(
     assert pixels["total"] == pixels["accepted"] + sum(pixels["rejected"].values())
 
 
+def test_the_record_tells_how_to_repeat_the_measurement(
+    scan_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Paths as typed, also with a space; the recorded command gives the same cloud."""
+    monkeypatch.chdir(tmp_path)
+    shutil.move(scan_folder / "rig.toml", "my rig.toml")
+    typed = ["measure", "scan/scan.toml", "--images", "scan", "--rig", "my rig.toml", "--out", "a"]
+    monkeypatch.setattr("sys.argv", ["/somewhere/bin/fringe3d", *typed])
+    main(typed)
+    request = tomllib.loads(Path("a/measure.toml").read_text())["request"]
+    assert request == {
+        "command": "fringe3d measure scan/scan.toml --images scan --rig 'my rig.toml' --out a",
+        "scan": "scan/scan.toml",
+        "images": "scan",
+        "rig": "my rig.toml",
+    }
+    main([*shlex.split(request["command"])[1:-1], "b"])
+    assert Path("a/cloud.ply").read_bytes() == Path("b/cloud.ply").read_bytes()
+
+
 def test_the_same_scan_gives_the_same_bytes(scan_folder: Path, tmp_path: Path) -> None:
     for name in ("a", "b"):
         main(["measure", str(scan_folder), "--out", str(tmp_path / name)])
@@ -76,84 +97,6 @@ def test_demo_is_close_to_the_truth(tmp_path: Path, capsys: pytest.CaptureFixtur
     # 0.67 sigma of 9 um is 6 um.
     assert 5 < median_um < 8
     assert (tmp_path / "demo/result/overview.png").is_file()
-
-
-def foreign_folder(recording: Recording, folder: Path) -> None:
-    """Write the recording as another program would: 1-based names, BMP."""
-    scan = recording[0]
-    for stack, name in zip(scan.stacks, ("left", "right"), strict=True):
-        (folder / name).mkdir(parents=True)
-        for index, image in enumerate(stack.images):
-            assert cv2.imwrite(str(folder / name / f"shot{index + 1}.bmp"), image)
-
-
-def write_calibration(rig: Rig, path: Path) -> None:
-    """Write the stereo pair as OpenCV would: X_right = R X_left + T."""
-    left, right = rig.cameras
-    pose = right.device_from_world @ left.device_from_world.inverse()
-    storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
-    for key, value in (
-        ("M1", left.camera_matrix),
-        ("D1", left.distortion[:5].reshape(1, 5)),
-        ("M2", right.camera_matrix),
-        ("D2", right.distortion[:5].reshape(1, 5)),
-        ("R", pose.rotation),
-        ("T", pose.translation.reshape(3, 1)),
-    ):
-        storage.write(key, value)
-    storage.release()
-
-
-def test_import_describes_a_recording_of_other_software(
-    recording: Recording, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    scan = recording[0]
-    assert scan.rig is not None
-    folder = tmp_path / "images"
-    foreign_folder(recording, folder)
-    write_calibration(scan.rig, tmp_path / "stereo.yml")
-    main(
-        [
-            "import", str(folder), "--camera", "c1=left/shot{index}.bmp@1",
-            "--camera", "c2=right/shot{index}.bmp@1",
-            "--sequence", "fringes period_px=16 n_shifts=4",
-            "--sequence", "gray cell_px=8 n_bits=7", "--projector-size", "1024x768",
-            "--calibration", str(tmp_path / "stereo.yml"), "--depth", "310:370",
-        ]
-    )  # fmt: skip
-    said = capsys.readouterr().out
-    assert "by method m1" in said
-    assert "texture of both cameras agrees" in said
-    rig = read_rig(folder / "rig.toml")
-    expected = scan.rig.cameras[1].device_from_world @ (
-        scan.rig.cameras[0].device_from_world.inverse()
-    )
-    np.testing.assert_allclose(
-        expected.translation, rig.cameras[1].device_from_world.translation, atol=1e-9
-    )
-    main(["measure", str(folder), "--out", str(tmp_path / "result")])
-    assert (tmp_path / "result" / "cloud.ply").is_file()
-
-
-def test_import_says_so_when_the_pose_is_inverted(
-    recording: Recording, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    scan = recording[0]
-    assert scan.rig is not None
-    folder = tmp_path / "images"
-    foreign_folder(recording, folder)
-    write_calibration(scan.rig, tmp_path / "stereo.yml")
-    arguments = [
-        "import", str(folder), "--camera", "c1=left/shot{index}.bmp@1",
-        "--camera", "c2=right/shot{index}.bmp@1",
-        "--sequence", "fringes period_px=16 n_shifts=4",
-        "--sequence", "gray cell_px=8 n_bits=7", "--projector-size", "1024x768",
-        "--calibration", str(tmp_path / "stereo.yml"), "--inverse-pose",
-    ]  # fmt: skip
-    with pytest.raises(SystemExit) as stop:
-        main(arguments)
-    assert stop.value.code == 2
-    assert "the calibration" in capsys.readouterr().err
 
 
 def test_measure_finds_the_images_below_or_beside_the_named_folder(
@@ -171,6 +114,55 @@ def test_measure_finds_the_images_below_or_beside_the_named_folder(
         assert (out / "cloud.ply").is_file()
 
 
+@pytest.fixture
+def figures(monkeypatch: pytest.MonkeyPatch) -> list[Figure]:
+    """Return the list that every picture drawn from now on is added to."""
+    drawn: list[Figure] = []
+    save = Figure.savefig
+
+    def keep(self: Figure, path: Path) -> None:
+        save(self, path)
+        drawn.append(self)
+
+    monkeypatch.setattr(Figure, "savefig", keep)
+    return drawn
+
+
+def test_overview_shows_the_wrapped_phase_as_defined_and_hides_no_pixel(
+    scan_folder: Path, tmp_path: Path, figures: list[Figure]
+) -> None:
+    main(["measure", str(scan_folder), "--out", str(tmp_path / "result")])
+    panels = {axis.get_title(loc="left"): axis for axis in figures[0].axes}
+    phase = panels["wrapped phase, rad"].images[0]
+    values = phase.get_array()
+    assert values is not None
+    shown = np.ma.masked_invalid(values)
+    assert phase.get_clim() == (-np.pi, np.pi)
+    assert -np.pi < shown.min() < -3.1
+    assert 3.1 < shown.max() <= np.float32(np.pi)
+    assert phase.colorbar is not None
+    labels = [label.get_text() for label in phase.colorbar.ax.get_yticklabels()]
+    assert labels == ["\N{MINUS SIGN}\N{GREEK SMALL LETTER PI}", "0", "\N{GREEK SMALL LETTER PI}"]
+    reasons = next(axis for title, axis in panels.items() if title.startswith("rejected"))
+    legend = reasons.get_legend()
+    assert legend is not None
+    assert not legend.get_window_extent().overlaps(reasons.get_window_extent())
+    whole = figures[0].bbox
+    assert whole.contains(*legend.get_window_extent().min)
+    assert whole.contains(*legend.get_window_extent().max)
+
+
+def test_every_tile_of_the_contact_sheet_has_a_frame(tmp_path: Path, figures: list[Figure]) -> None:
+    """Light is white on a white sheet; places without an image stay empty."""
+    main(["patterns", "--size", "96x64", "--period", "16", "--light-dark", "--gray", "none",
+          "--direction", "xy", "--out", str(tmp_path / "patterns")])  # fmt: skip
+    sheet = figures[0]
+    assert [axis.get_visible() for axis in sheet.axes] == [True] * 10 + [False] * 2
+    for axis in sheet.axes[:10]:
+        assert axis.axison
+        assert all(spine.get_visible() for spine in axis.spines.values())
+
+
 def test_patterns_are_the_plan_sampled_at_pixel_centres(tmp_path: Path) -> None:
     from fringe3d.io.scanfile import read_plan
 
@@ -186,21 +178,3 @@ def test_patterns_are_the_plan_sampled_at_pixel_centres(tmp_path: Path) -> None:
         assert found.dtype == np.uint16
         # Degrees in the file round the angle and the shift by 1e-16.
         assert np.abs(expected.astype(int) - found).max() <= 1
-
-
-def test_import_asks_where_nothing_is_given(
-    recording: Recording,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """An empty answer takes the proposal, which knows names and first numbers of the files."""
-    write_scan(tmp_path / "mine", recording[0])
-    shutil.move(tmp_path / "mine" / "rig.toml", tmp_path / "rig.toml")
-    (tmp_path / "mine" / "scan.toml").unlink()
-    answers = iter(["", "", "", "fringes period_px=16 n_shifts=4", "gray cell_px=8 n_bits=7", ""])
-    monkeypatch.setattr("builtins.input", lambda *_: next(answers))
-    monkeypatch.setattr("sys.stdin.isatty", lambda: True)
-    main(["import", str(tmp_path / "mine"), "--rig", str(tmp_path / "rig.toml")])
-    assert "by method m1" in capsys.readouterr().out
-    assert next(answers, "all asked") == "all asked"

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import tomllib
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -28,7 +30,7 @@ from fringe3d.geometry import (
     triangulation_angle,
     unproject,
 )
-from fringe3d.io.rigfile import read_rig
+from fringe3d.io.rigfile import read_rig, rig_text
 from fringe3d.model import Device, MeasuringVolume, Rig, RigidTransform
 
 Floats = NDArray[np.float64]
@@ -105,16 +107,8 @@ def projector(distortion: ArrayLike = ()) -> Device:
 
 
 def moved(device: Device, new_from_old: RigidTransform) -> Device:
-    return Device(
-        name=device.name,
-        role=device.role,
-        n_rows=device.n_rows,
-        n_cols=device.n_cols,
-        focal_px=device.focal_px,
-        center_px=device.center_px,
-        distortion=device.distortion,
-        device_from_world=device.device_from_world @ new_from_old.inverse(),
-    )
+    pose = device.device_from_world @ new_from_old.inverse()
+    return replace(device, device_from_world=pose)
 
 
 def moved_volume(volume: MeasuringVolume, new_from_old: RigidTransform) -> MeasuringVolume:
@@ -667,3 +661,64 @@ class TestTriangulationAngle:
         found = triangulation_angle(rig.cameras[0], rig.cameras[1], [0, 0, 0])
         assert expected == pytest.approx(found, abs=1e-9)
         assert round(math.degrees(found)) == 27
+
+
+class TestRigFile:
+    """Files name a volume as a person would, and mean exactly the same half-spaces."""
+
+    @staticmethod
+    def again(rig: Rig, folder: Path) -> tuple[str, MeasuringVolume]:
+        """Return the kind of the volume in the file, and the volume read back from it."""
+        (folder / "rig.toml").write_text(rig_text(rig), encoding="utf-8")
+        kind = tomllib.loads((folder / "rig.toml").read_text(encoding="utf-8"))["volume"]["kind"]
+        volume = read_rig(folder / "rig.toml").volume
+        assert volume is not None
+        return kind, volume
+
+    @pytest.mark.parametrize(
+        ("kind", "volume"),
+        [
+            ("box", MeasuringVolume.box([-10, -20.5, 300], [10, 20, 400])),
+            (
+                "cylinder",
+                MeasuringVolume.cylinder([1, 2, 350.25], [0.1, -2, 3], radius_mm=40, height_mm=9),
+            ),
+            (
+                "depth_slab",
+                MeasuringVolume.depth_slab(projector(), depth_min_mm=200, depth_max_mm=500.5),
+            ),
+            (
+                "half_spaces",
+                MeasuringVolume.box([-10, -20, 300], [10, 20, 400]).intersection(
+                    MeasuringVolume.depth_slab(camera(), depth_min_mm=300, depth_max_mm=350)
+                ),
+            ),
+            ("half_spaces", MeasuringVolume(normals=[[0, 0, 3], [0, 0, -1]], offsets_mm=[900, 5])),
+        ],
+    )
+    def test_volume_round_trips_with_its_kind(
+        self, kind: str, volume: MeasuringVolume, tmp_path: Path
+    ) -> None:
+        rig = Rig(cameras=(camera(),), projector=projector(), volume=volume)
+        found, again = self.again(rig, tmp_path)
+        assert kind == found
+        np.testing.assert_array_equal(volume.normals, again.normals)
+        np.testing.assert_array_equal(volume.offsets_mm, again.offsets_mm)
+        assert volume.shape == again.shape
+
+    def test_slab_of_a_device_that_moved_stays_where_it_was(self, tmp_path: Path) -> None:
+        volume = MeasuringVolume.depth_slab(projector(), depth_min_mm=200, depth_max_mm=500)
+        elsewhere = moved(projector(), pose([0.1, 0.2, 0.3], [5, 6, 7]))
+        kind, again = self.again(Rig(cameras=(camera(),), projector=elsewhere, volume=volume),
+                                 tmp_path)  # fmt: skip
+        assert kind == "half_spaces"
+        np.testing.assert_allclose(volume.normals, again.normals, atol=1e-15)
+        np.testing.assert_allclose(volume.offsets_mm, again.offsets_mm, atol=1e-12)
+
+    def test_slab_of_a_device_that_is_not_in_the_rig_stays_where_it_was(
+        self, tmp_path: Path
+    ) -> None:
+        volume = MeasuringVolume.depth_slab(projector(), depth_min_mm=200, depth_max_mm=500)
+        kind, again = self.again(Rig(cameras=(camera(),), volume=volume), tmp_path)
+        assert kind == "half_spaces"
+        np.testing.assert_allclose(volume.offsets_mm, again.offsets_mm, atol=1e-12)

@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
+from closed_form import SphereScene, simulate
 from fringe3d.correspond.projector import match_projector
 from fringe3d.decode import decode
 from fringe3d.decode.order import order_table
@@ -21,8 +22,8 @@ from fringe3d.model import (
     Fringe,
     NoiseModel,
     PatternPlan,
-    Rejection,
     PhaseMap,
+    Rejection,
     Rig,
     RigidTransform,
     Scan,
@@ -30,7 +31,6 @@ from fringe3d.model import (
 from fringe3d.model.plan import fringes, gray_code
 from fringe3d.patterns import sequence
 from fringe3d.pipeline import MeasureOptions, Method, measure
-from fringe3d.simulate import SphereScene, simulate
 
 MAD_TO_SIGMA = 1.4826
 

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
+from closed_form import SphereScene, Truth, simulate
 from fringe3d.errors import CalibrationError, MethodError
 from fringe3d.model import Device, Fringe, ImageStack, PatternPlan, Rig, RigidTransform, Scan
 from fringe3d.patterns import sequence
 from fringe3d.pipeline import Measurement, MeasureOptions, measure
-from fringe3d.simulate import SphereScene, Truth, simulate
 
 Recording = tuple[Scan, tuple[Truth, ...]]
 
@@ -20,14 +22,14 @@ FIGURE_TOLERANCE_PX = 0.03
 
 
 def figure(result: Measurement, name: str) -> float:
-    return next(finding.value for finding in result.findings if finding.name == name)
+    figures = [{finding.name: finding.value, **finding.figures} for finding in result.findings]
+    return next(each[name] for each in figures if name in each)
 
 
-def with_device(rig: Rig, index: int, **changes: object) -> Rig:
+def with_device(rig: Rig, index: int, **changes: Any) -> Rig:
     """Return the rig with another camera `index` (or projector, for -1)."""
     device = rig.devices[index]
-    fields = {name: getattr(device, name) for name in Device.__dataclass_fields__} | changes
-    changed = Device(**fields)
+    changed = replace(device, **changes)
     if device.role == "projector":
         return replace(rig, projector=changed)
     cameras = list(rig.cameras)
@@ -37,13 +39,8 @@ def with_device(rig: Rig, index: int, **changes: object) -> Rig:
 
 def turned(device: Device, axis: str, degrees: float) -> RigidTransform:
     """Return the pose of a device turned about its own axis."""
-    c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
-    matrix = {
-        "x": [[1, 0, 0], [0, c, -s], [0, s, c]],
-        "y": [[c, 0, s], [0, 1, 0], [-s, 0, c]],
-        "z": [[c, -s, 0], [s, c, 0], [0, 0, 1]],
-    }[axis]
-    turn = RigidTransform(rotation=matrix, translation=np.zeros(3))
+    rotation = Rotation.from_euler(axis, degrees, degrees=True).as_matrix()
+    turn = RigidTransform(rotation=rotation, translation=np.zeros(3))
     return turn @ device.device_from_world
 
 
@@ -120,14 +117,47 @@ def reversed_shifts(stack: ImageStack) -> ImageStack:
     )
 
 
-@pytest.mark.parametrize("n_shifts", [3, 4, 8])
-def test_gamma_is_named_with_one_period_and_any_number_of_steps(rig: Rig, n_shifts: int) -> None:
-    """With 4 steps gamma 2.2 hardly disturbs the phase (third harmonic 4 %): no warning due."""
+@pytest.mark.parametrize(("n_shifts", "n_warnings"), [(3, 2), (4, 0), (8, 0)])
+def test_gamma_is_a_warning_where_it_disturbs_the_phase(
+    rig: Rig, n_shifts: int, n_warnings: int
+) -> None:
+    """With 4 steps gamma 2.2 leaves its third harmonic (1 %), with 8 nothing worth mentioning."""
     assert rig.projector is not None
     plan = sequence(rig.projector.shape, periods_px=(16.0,), n_shifts=n_shifts)
     scan, _ = simulate(rig, plan, SphereScene(gamma=2.2), np.random.default_rng(5))
-    named = [f.text for f in measure(scan).warnings if "gamma" in f.text]
-    assert len(named) == (0 if n_shifts == 4 else 2)
+    assert len([f for f in measure(scan).warnings if "gamma" in f.text]) == n_warnings
+
+
+def test_gamma_that_does_no_harm_is_told_with_its_figure(rig: Rig) -> None:
+    """(1 + cos)**g has a second harmonic of (g - 1) / (g + 2) of the first: 0.286."""
+    assert rig.projector is not None
+    plan = sequence(rig.projector.shape, periods_px=(16.0,), n_shifts=8)
+    scan, _ = simulate(rig, plan, SphereScene(gamma=2.2), np.random.default_rng(5))
+    result = measure(scan)
+    told = [f.text for f in result.findings if f.level == "ok" and "gamma" in f.text]
+    assert len(told) == 2
+    assert all("Harmless with 8 steps; with 3" in text for text in told)
+    assert figure(result, "c1_x_16px_harmonic") == pytest.approx(1.2 / 4.2, abs=0.01)
+
+
+def test_one_camera_gets_one_warning_of_gamma_with_every_figure(rig: Rig) -> None:
+    """Two directions and two periods, as two cameras of any recording may have them."""
+    assert rig.projector is not None
+    plan = sequence(rig.projector.shape, periods_px=(16.0, 21.0), n_shifts=3,
+                    angles=(0.0, np.pi / 2))  # fmt: skip
+    scan, _ = simulate(rig, plan, SphereScene(gamma=2.2), np.random.default_rng(5))
+    result = measure(Scan(stacks=scan.stacks[:1]))
+    ripples = [f for f in result.warnings if f.name == "c1_ripple_rad"]
+    periods = [f for f in result.warnings if f.name == "c1_period_disagreement_px"]
+    assert (len(ripples), len(periods)) == (1, 1)
+    assert "4 fringe sets (x 16 px, x 21 px, y 16 px, y 21 px)" in ripples[0].text
+    assert {f"c1_{axis}_{period}px_ripple_rad" for axis in "xy" for period in (16, 21)} == set(
+        ripples[0].figures
+    )
+    assert len(periods[0].figures) == 2
+    assert all("gamma" in finding.text for finding in (*ripples, *periods))
+    for finding in (*ripples, *periods):
+        assert finding.value == max(finding.figures.values())
 
 
 @pytest.mark.parametrize("n_shifts", [3, 4, 8])

@@ -32,6 +32,7 @@ from fringe3d.model import (
 )
 from fringe3d.model.plan import fringes, gray_code
 from fringe3d.model.rejection import count_by_reason, reject
+from fringe3d.model.volume import BoxShape, CylinderShape
 
 Floats = NDArray[np.float64]
 
@@ -290,6 +291,16 @@ class TestMeasuringVolume:
         b = MeasuringVolume.box([2, 0, 0], [3, 1, 1])
         some = np.random.default_rng(5).uniform(-1, 4, (1000, 3))
         assert not a.intersection(b).contains(some).any()
+
+    def test_only_a_volume_made_as_a_whole_knows_its_shape(self) -> None:
+        box = MeasuringVolume.box([-1, -1, -1], [1, 1, 1])
+        cylinder = MeasuringVolume.cylinder([0, 0, 0], [0, 0, 2], radius_mm=1, height_mm=3)
+        assert box.shape == BoxShape(min_mm=(-1, -1, -1), max_mm=(1, 1, 1))
+        assert cylinder.shape == CylinderShape(
+            center_mm=(0, 0, 0), axis=(0, 0, 2), radius_mm=1, height_mm=3
+        )
+        assert box.intersection(cylinder).shape is None
+        assert MeasuringVolume(normals=box.normals, offsets_mm=box.offsets_mm).shape is None
 
     def test_nan_lies_outside(self) -> None:
         box = MeasuringVolume.box([-1, -1, -1], [1, 1, 1])

@@ -24,7 +24,9 @@ from fringe3d.patterns import (
     full_gray_bits,
     intensity,
     pattern_image,
+    require_numbered,
     sequence,
+    unambiguous_px,
 )
 
 Floats = NDArray[np.float64]
@@ -315,15 +317,98 @@ class TestSequence:
             ({"n_shifts": 2}, "at least 3 phase steps, found 2"),
             ({"periods_px": ()}, "at least one period_px, found none"),
             ({"gray": "binary"}, "expected gray none, plain or complementary, found 'binary'"),
-            ({"gray_bits": 0}, "expected gray_bits >= 1, found 0"),
+            ({"gray_bits": 0}, "expected gray_bits from 1 to 2 .*, found 0"),
+            ({"gray_bits": 3}, r"from 1 to 2 \(2 number all periods of 16 px\), found 3"),
             ({"n_shifts": 0, "gray": "none"}, "at least one pattern, found none"),
-            ({"periods_px": (-1.0,)}, "expected period_px > 0"),
+            ({"periods_px": (-1.0,)}, "period of at least 2 px .*found -1"),
+            ({"periods_px": (16.0, 1.99)}, "period of at least 2 px .*found 1.99"),
+            ({"periods_px": (0.99,), "n_shifts": 0}, "period of at least 1 px .*found 0.99"),
+            ({"periods_px": (64.0,)}, "period below 64 px .*found 64"),
         ],
     )
     def test_impossible_sequence_is_refused(self, options: dict[str, object], message: str) -> None:
         arguments = {"periods_px": (16.0,), "n_shifts": 4, **options}
         with pytest.raises(ValueError, match=message):
             sequence((20, 64), **arguments)  # type: ignore[arg-type]
+
+    def test_code_takes_no_image_more_than_each_direction_needs(self) -> None:
+        plan = sequence((256, 1024), periods_px=(16.0,), n_shifts=3, gray="plain", gray_bits=6,
+                        angles=(0.0, math.pi / 2))  # fmt: skip
+        assert [code.n_bits for code in plan.gray_sets] == [6, 4]
+
+
+class TestUnambiguousRange:
+    @pytest.mark.parametrize(
+        ("periods_px", "expected"),
+        [
+            ((16.0,), 16.0),
+            ((16.0, 32.0), 32.0),
+            # Least common multiple of whole periods without common divisor.
+            ((16.0, 17.0), 272.0),
+            ((17.0, 16.0), 272.0),
+            ((20.0, 21.0), 420.0),
+            # 320 px are 5.33 and 5 periods; 960 are 15, 13.5; 22 080 are 368, 345 and 310.99.
+            ((60.0, 64.0), 960.0),
+            ((60.0, 64.0, 71.0), 22_080.0),
+            # 192 px are 12 and 10.98 periods: near enough to be taken for 11; 10.97 are not.
+            ((16.0, 17.49), 192.0),
+            ((16.0, 17.5), 560.0),
+            # Neighbouring periods differ by 0.016 of the wide one, which is too little; by 0.125.
+            ((16.0, 1024.0), 16.0),
+            ((16.0, 128.0), 128.0),
+            ((16.0, 128.0, 1024.0), 1024.0),
+            # The same for a beat: 0.0099, 0.048.
+            ((100.0, 101.0), 100.0),
+            ((100.0, 105.0), 2_100.0),
+        ],
+    )
+    def test_range_equals_hand_computed_table(
+        self, periods_px: tuple[float, ...], expected: float
+    ) -> None:
+        assert expected == pytest.approx(unambiguous_px(periods_px, 30_000.0))
+
+    def test_extent_bounds_the_range(self) -> None:
+        assert unambiguous_px([16.0, 17.0], 272.0) == 272.0
+        assert unambiguous_px([16.0, 17.0], 200.0) == 200.0
+        assert unambiguous_px([16.0], 10.0) == 10.0
+
+    @given(st.lists(st.integers(7, 40), min_size=1, max_size=3), st.integers(50, 2000))
+    def test_range_of_whole_periods_divides_their_least_common_multiple(
+        self, whole: list[int], extent: int
+    ) -> None:
+        found = unambiguous_px([float(period) for period in whole], float(extent))
+        assert found <= math.lcm(*whole)
+        assert 0 < found <= extent
+
+    @pytest.mark.parametrize(
+        ("periods_px", "gray", "accepted"),
+        [
+            ((16.0,), "none", True),
+            ((16.0, 32.0), "none", False),
+            ((16.0, 32.0), "plain", True),
+            ((16.0, 1024.0), "none", False),
+            ((16.0, 128.0, 1024.0), "none", True),
+            ((32.0, 33.0), "none", True),
+            ((16.0, 17.0), "none", False),
+        ],
+    )
+    def test_several_periods_must_number_the_projector_unless_a_code_does(
+        self, periods_px: tuple[float, ...], gray: str, accepted: bool
+    ) -> None:
+        plan = sequence((768, 1024), periods_px=periods_px, n_shifts=3, gray=gray)
+        if accepted:
+            require_numbered(plan)
+            return
+        with pytest.raises(ValueError, match=r"look alike again after .* all 1024 px"):
+            require_numbered(plan)
+
+    def test_each_direction_is_judged_by_its_own_width(self) -> None:
+        angles = (0.0, math.pi / 2)
+        plan = sequence((260, 280), periods_px=(16.0, 17.0), n_shifts=3, gray="none", angles=angles)
+        with pytest.raises(ValueError, match=r"after 272 px; .* all 280 px"):
+            require_numbered(plan)
+        require_numbered(sequence((260, 280), periods_px=(16.0, 17.0), n_shifts=3, gray="none",
+                                  angles=angles[1:]))  # fmt: skip
 
 
 def assert_same_patterns(expected: PatternPlan, found: PatternPlan) -> None:

@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy import ndimage
+from scipy.spatial.transform import Rotation
 
+from closed_form import SphereScene, Truth, simulate
 from fringe3d.errors import CalibrationError, EmptyResultError, MethodError
 from fringe3d.model import (
     Device,
@@ -31,7 +33,6 @@ from fringe3d.pipeline import (
     measure,
     point_cloud,
 )
-from fringe3d.simulate import SphereScene, Truth, simulate
 
 Floats = NDArray[np.float64]
 Recording = tuple[Scan, tuple[Truth, ...]]
@@ -420,46 +421,30 @@ def test_depth_range_keeps_exactly_the_points_between_the_two_depths(
 # Wrong calibrations
 
 
-def with_pose(device: Device, pose: RigidTransform) -> Device:
-    return Device(
-        name=device.name,
-        role=device.role,
-        n_rows=device.n_rows,
-        n_cols=device.n_cols,
-        focal_px=device.focal_px,
-        center_px=device.center_px,
-        distortion=device.distortion,
-        device_from_world=pose,
-    )
-
-
-def turned(device: Device, axis: int, degrees: float) -> Device:
+def turned(device: Device, axis: str, degrees: float) -> Device:
     """Return a device turned about an axis of its own frame: a wrong calibration."""
-    angle = np.radians(degrees)
-    rotation = np.eye(3)
-    i, j = (axis + 1) % 3, (axis + 2) % 3
-    rotation[[i, j], [i, j]] = np.cos(angle)
-    rotation[i, j], rotation[j, i] = -np.sin(angle), np.sin(angle)
+    rotation = Rotation.from_euler(axis, degrees, degrees=True).as_matrix()
     turn = RigidTransform(rotation=rotation, translation=np.zeros(3))
-    return with_pose(device, turn @ device.device_from_world)
+    return replace(device, device_from_world=turn @ device.device_from_world)
 
 
 def transposed(device: Device) -> Device:
     """Return a device with R inverted but not t: the commonest mistake of rig files."""
     pose = device.device_from_world
-    return with_pose(device, RigidTransform(rotation=pose.rotation.T, translation=pose.translation))
+    wrong = RigidTransform(rotation=pose.rotation.T, translation=pose.translation)
+    return replace(device, device_from_world=wrong)
 
 
 def inverted(device: Device) -> Device:
-    return with_pose(device, device.device_from_world.inverse())
+    return replace(device, device_from_world=device.device_from_world.inverse())
 
 
 Mistake = Callable[[Device], Device]
 
 STEREO_MISTAKES: list[Mistake] = [
-    lambda d: turned(d, 0, 1.0),
-    lambda d: turned(d, 0, -1.0),
-    lambda d: turned(d, 0, 0.3),
+    lambda d: turned(d, "x", 1.0),
+    lambda d: turned(d, "x", -1.0),
+    lambda d: turned(d, "x", 0.3),
     transposed,
     inverted,
 ]
@@ -495,11 +480,11 @@ def crossed(rig: Rig) -> Scan:
 
 
 PROJECTOR_MISTAKES: list[Mistake] = [
-    lambda d: turned(d, 0, 1.0),
-    lambda d: turned(d, 1, 1.0),
-    lambda d: turned(d, 2, -1.0),
-    lambda d: turned(d, 1, 0.3),
-    lambda d: turned(d, 2, 0.3),
+    lambda d: turned(d, "x", 1.0),
+    lambda d: turned(d, "y", 1.0),
+    lambda d: turned(d, "z", -1.0),
+    lambda d: turned(d, "y", 0.3),
+    lambda d: turned(d, "z", 0.3),
     transposed,
     inverted,
 ]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import shlex
 import sys
 import warnings
 from collections.abc import Callable
@@ -46,6 +47,7 @@ def measure(
     images: Path | None = None,
     rig: Path | None = None,
     method: Literal["auto", "m1", "m2", "projector"] = "auto",
+    direction: Literal["auto", "x", "y"] = "auto",
     shifts: int | None = None,
     gray_bits: Annotated[int | None, Parameter(validator=_at_least(0))] = None,
     depth: str | None = None,
@@ -72,6 +74,8 @@ def measure(
     method
         auto takes the best that images and rig allow. m1: two cameras, full Gray code. m2: two
         cameras, reduced code. projector: one camera and the calibrated projector.
+    direction
+        Use only the fringes and code of this direction (x: vertical stripes).
     shifts
         Use only that many of the phase steps.
     gray_bits
@@ -84,28 +88,32 @@ def measure(
         Smallest fringe contrast, grey levels.
     """
     from fringe3d.io.atomic import require_writable
+    from fringe3d.io.importing import parse_depth
     from fringe3d.io.recording import read_scan
     from fringe3d.pipeline import MeasureOptions
     from fringe3d.pipeline import measure as run
-    from fringe3d.report.folder import measure_record, summary, write_result
+    from fringe3d.report.folder import Request, measure_record, summary, write_result
 
     require_writable(out, overwrite=overwrite, inputs=(scan, images, rig))
     options = MeasureOptions(
         method=method,
+        direction=direction,
         n_shifts=shifts,
         gray_bits=gray_bits,
-        depth_mm=_depth(depth),
+        depth_mm=parse_depth(depth) if depth else None,
         strict=strict,
         min_modulation_dn=min_modulation,
     )
+    command = shlex.join(["fringe3d", *sys.argv[1:]])
+    request = Request(command=command, scan=scan, images=images, rig=rig)
     with Reporter(quiet=as_json).running() as reporter:
         recording = read_scan(scan, images=images, rig=rig, progress=reporter.step)
         result = run(recording, options, stage=reporter.stage)
         reporter.stage("writing")
-        write_result(out, recording, options, result, overwrite=overwrite)
+        write_result(out, recording, options, result, request=request, overwrite=overwrite)
     for finding in result.warnings:
         reporter.warn(finding.text)
-    record = measure_record(recording, options, result) | {"out": str(out)}
+    record = measure_record(recording, options, result, request=request) | {"out": str(out)}
     say(f"{summary(result)} -> {out}", record, as_json=as_json)
 
 
@@ -114,9 +122,9 @@ def patterns(
     *,
     size: str,
     out: Path,
-    period: Annotated[list[float], Parameter(validator=_at_least(1))],
+    period: list[float],
     steps: int = 4,
-    direction: Literal["x", "y", "xy"] = "x",
+    direction: Literal["x", "y", "xy"] | None = None,
     angle: Annotated[float | None, Parameter(validator=_at_least(-360))] = None,
     reverse: Annotated[bool, Parameter(negative=())] = False,
     gray: Literal["complementary", "plain", "none"] = "complementary",
@@ -138,11 +146,11 @@ def patterns(
     out
         Folder for the images; must not exist yet.
     period
-        Fringe period, projector px; need not be an integer; repeat it for several periods.
+        Fringe period, projector px, at least 2; need not be an integer; repeat it for several.
     steps
         Phase steps, at least 3; 0 for Gray code alone with cells of the period.
     direction
-        x: vertical fringes, y: horizontal, xy: both.
+        x: vertical fringes (the default), y: horizontal, xy: both.
     angle
         Fringe angle in degrees instead of a direction; 0 is x, 90 is y.
     reverse
@@ -150,7 +158,7 @@ def patterns(
     gray
         complementary codes half periods (one image more, no errors at the edges).
     gray_bits
-        Tell 2^n periods apart, cyclically; all by default.
+        Tell 2^n periods apart, cyclically; as many as there are by default.
     inverses
         Add the inverse of each Gray-code image.
     light_dark
@@ -158,14 +166,20 @@ def patterns(
     bits
         Bit depth of the images.
     """
-    from fringe3d.patterns import sequence
+    from fringe3d.io.importing import parse_size
+    from fringe3d.patterns import require_numbered, sequence
     from fringe3d.report.patterns import write_patterns
 
-    width, height = _size(size)
+    width, height = parse_size(size, "--size")
+    if angle is not None and direction is not None:
+        raise MethodError(
+            f"--angle, --direction: expected one of them, found {angle:g} and {direction}. Leave "
+            "one out"
+        )
     if angle is not None:
         angles: tuple[float, ...] = (math.radians(angle),)
     else:
-        angles = tuple({"x": 0.0, "y": math.pi / 2}[name] for name in direction)
+        angles = tuple({"x": 0.0, "y": math.pi / 2}[name] for name in direction or "x")
     try:
         plan = sequence(
             (height, width),
@@ -178,6 +192,7 @@ def patterns(
             inverses=inverses,
             light_dark=light_dark,
         )
+        require_numbered(plan)
     except ValueError as problem:
         raise MethodError(f"{problem}. See fringe3d patterns --help") from None
     write_patterns(out, plan, bit_depth=bits, overwrite=overwrite)
@@ -198,14 +213,15 @@ def import_(
     calibration_keys: str | None = None,
     inverse_pose: Annotated[bool, Parameter(negative=())] = False,
     depth: str | None = None,
-    bit_depth: int = 8,
+    bit_depth: int | None = None,
     black_level: float = 0.0,
     title: str = "",
     overwrite: Overwrite = False,
 ) -> None:
     """Describe a recording made by other software, and check the description.
 
-    Writes a scan.toml (and a rig.toml); asks for what is not given as an option.
+    Writes a scan.toml (and a rig.toml). Without --camera or --sequence it asks, on a terminal,
+    for these and all else that is not given; with both it asks nothing.
     Example: fringe3d import images --camera "c1={index:02d}.png"
     --sequence "fringes period_px=60 n_shifts=12" --sequence "gray cell_px=30 n_bits=6"
     --calibration stereo.yml --projector-size 1920x1080
@@ -226,7 +242,8 @@ def import_(
     rig
         An existing rig file.
     calibration
-        A calibration by OpenCV (YAML, XML, JSON), converted to rig.toml beside the scan file.
+        A calibration by OpenCV (YAML, XML, JSON), converted to rig.toml beside the scan file
+        (NAME-rig.toml beside a NAME.toml).
     calibration_keys
         Names of its matrices: M1,D1,M2,D2,R,T, with :projector if the second is a projector.
     inverse_pose
@@ -234,7 +251,7 @@ def import_(
     depth
         MIN:MAX, mm along the principal ray of C1; becomes the measuring volume.
     bit_depth
-        Bits of a grey value.
+        Bits of a grey value, 8 to 16; 8 if neither given nor asked.
     black_level
         Grey value without light.
     title
@@ -247,12 +264,12 @@ def import_(
         out=out or images / "scan.toml",
         cameras=tuple(camera or ()),
         sequence=tuple(sequence or ()),
-        projector_size=_size(projector_size, "--projector-size") if projector_size else None,
+        projector_size=projector_size,
         rig=rig,
         calibration=calibration,
         calibration_keys=calibration_keys,
         inverse_pose=inverse_pose,
-        depth_mm=_depth(depth),
+        depth=depth,
         bit_depth=bit_depth,
         black_level=black_level,
         title=title,
@@ -263,8 +280,87 @@ def import_(
 
 
 @app.command
+def simulate(
+    preset: str,
+    /,
+    *,
+    out: Path,
+    thing: Annotated[str, Parameter(name="--object")] = "machine-part",
+    plan: str = "m1",
+    seed: Annotated[int, Parameter(validator=_at_least(0))] = 0,
+    steps: Annotated[int, Parameter(validator=_at_least(3))] = 4,
+    period: Annotated[float | None, Parameter(validator=_at_least(2))] = None,
+    camera_size: str = "640x512",
+    background: Literal["table", "wall", "none"] = "table",
+    rays: int = 4,
+    positions: Annotated[int, Parameter(validator=_at_least(1))] = 1,
+    tilts: str = "0",
+    settings: Path | None = None,
+    overwrite: Overwrite = False,
+) -> None:
+    """Record a scan without hardware, with exact truth.
+
+    Leaves an ordinary scan folder with truth.npz, simulation.toml and overview.png in OUT.
+    Example: fringe3d simulate kolibri --object teeth --plan m2 --seed 1 --out scan
+
+    Parameters
+    ----------
+    preset
+        The rig: kolibri, kolibri-m5, designed, wide-depth, face or single.
+    out
+        Folder of the scan; must not exist yet.
+    thing
+        plane, prism, machine-part, teeth, sphere, ball-bar, flat-plate, step-gauge, bust,
+        two-bodies, thin-wire, hand, or a file: STL, PLY or OBJ, in mm.
+    plan
+        What is projected: the images of a method, m0 to m6, or a plan.toml.
+    seed
+        The same seed gives the same bytes.
+    steps
+        Phase steps.
+    period
+        Fringe period, projector px; that of the preset by default.
+    camera_size
+        Pixels of the cameras, WIDTHxHEIGHT.
+    background
+        What the object stands on or hangs before; lit and seen, outside the measuring volume.
+    rays
+        Rays for each pixel: 1, 4, 9 or 16.
+    positions
+        Turn the object on a rotary table to that many positions: a series of scans.
+    tilts
+        Tilts of the table, degrees, with commas between: a series for each.
+    settings
+        TOML file with [surface], [camera], [projector] and [recording]: noise, gamma, blur,
+        black level, vibration, motion, dropped images ... as in the simulation.toml of any scan.
+    """
+    from fringe3d.cli.simulator import SimulateOptions, parse_tilts, run_simulation
+    from fringe3d.io.importing import parse_size
+
+    options = SimulateOptions(
+        preset=preset,
+        thing=thing,
+        plan=plan,
+        seed=seed,
+        out=out,
+        steps=steps,
+        period_px=period,
+        camera_size=parse_size(camera_size, "--camera-size"),
+        background=background,
+        n_rays=rays,
+        positions=positions,
+        tilts_deg=parse_tilts(tilts),
+        settings=settings,
+        overwrite=overwrite,
+    )
+    with Reporter(quiet=False).running() as reporter:
+        text = run_simulation(options, reporter)
+    say(text)
+
+
+@app.command
 def demo(*, out: Path = Path("demo"), overwrite: Overwrite = False) -> None:
-    """Measure an embedded scan, a sphere before a plane, and compare it with the truth.
+    """Measure a simulated scan of a machine part, and compare it with the truth.
 
     Leaves the scan in OUT/scan and the result in OUT/result: look at overview.png.
 
@@ -278,28 +374,6 @@ def demo(*, out: Path = Path("demo"), overwrite: Overwrite = False) -> None:
     with Reporter(quiet=False).running() as reporter:
         text = run_demo(out, overwrite=overwrite, reporter=reporter)
     say(text)
-
-
-def _depth(text: str | None) -> tuple[float, float] | None:
-    if text is None:
-        return None
-    try:
-        low, high = (float(part) for part in text.split(":"))
-    except ValueError:
-        raise MethodError(f"--depth: expected MIN:MAX in mm, as 600:800, found '{text}'") from None
-    if not -math.inf < low < high < math.inf:
-        raise MethodError(f"--depth: expected MIN below MAX, both finite, found '{text}'")
-    return low, high
-
-
-def _size(text: str, option: str = "--size") -> tuple[int, int]:
-    try:
-        width, height = (int(part) for part in text.lower().split("x"))
-    except ValueError:
-        raise MethodError(f"{option}: expected WIDTHxHEIGHT, as 1024x768, found '{text}'") from None
-    if width < 1 or height < 1:
-        raise MethodError(f"{option}: expected positive numbers, found '{text}'")
-    return width, height
 
 
 def main(arguments: list[str] | None = None) -> None:

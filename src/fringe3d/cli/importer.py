@@ -2,166 +2,195 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
-from rich.prompt import Prompt
-
-from fringe3d.cli.console import Reporter
-from fringe3d.errors import Fringe3DError, PlanError
+from fringe3d.cli.console import Reporter, fail
+from fringe3d.cli.dialogue import ImportOptions, complete
+from fringe3d.errors import (
+    CalibrationError,
+    EmptyResultError,
+    Fringe3DError,
+    PlanError,
+    RigError,
+)
 from fringe3d.io.atomic import require_writable, write_text
-from fringe3d.io.importing import guess_cameras, parse_camera, parse_sequence, scan_text
-from fringe3d.io.opencv_calibration import CalibrationKeys, read_opencv_calibration
-from fringe3d.io.recording import image_size, read_scan
-from fringe3d.io.rigfile import rig_text, slab_text
+from fringe3d.io.importing import (
+    guess_cameras,
+    matrix_names,
+    parse_bit_depth,
+    parse_camera,
+    parse_depth,
+    parse_keys,
+    parse_sequence,
+    parse_size,
+    read_calibration,
+    relative_path,
+    require_images,
+    scan_text,
+)
+from fringe3d.io.recording import read_scan
+from fringe3d.io.rigfile import read_rig, rig_text, slab_text
 from fringe3d.pipeline import MeasureOptions, measure
 from fringe3d.report.folder import summary
 
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ImportOptions:
-    """What the user said on the command line; see ``fringe3d import --help``."""
-
-    images: Path
-    out: Path
-    cameras: tuple[str, ...]
-    sequence: tuple[str, ...]
-    projector_size: tuple[int, int] | None
-    rig: Path | None
-    calibration: Path | None
-    calibration_keys: str | None
-    inverse_pose: bool
-    depth_mm: tuple[float, float] | None
-    bit_depth: int
-    black_level: float
-    title: str
-    overwrite: bool
+__all__ = ["ImportOptions", "import_recording"]
 
 
 def import_recording(options: ImportOptions, reporter: Reporter, /) -> str:
     """Write the scan file (and the rig file), check them; return what to print."""
+    _require_sense(options)
+    if not (options.cameras and options.sequence):
+        _require_terminal(options)
+        options = complete(options)
+    elif options.without_effect:
+        raise PlanError(
+            f"{', '.join(options.without_effect)}: expected --calibration beside it, found none. "
+            "Add it, or leave this out"
+        )
+    cameras = [parse_camera(text) for text in options.cameras]
+    for camera in cameras:
+        require_images(options.images, camera)
+    scan = scan_text(_entries(options, cameras), images=options.images, out=options.out)
+    rig = _rig_text(options, cameras) if options.calibration else None
+    _write(options, scan, rig)
+    return _check(options, reporter)
+
+
+def _require_sense(options: ImportOptions) -> None:
+    """Refuse what is wrong already, before anything is asked or written."""
     if not options.images.is_dir():
-        raise PlanError(f"{options.images}: expected the folder of the images, found none")
-    if options.rig is not None and (options.calibration or options.depth_mm):
+        raise PlanError(
+            f"{options.images}: expected the folder of the images, found none. Check the path"
+        )
+    if options.rig is not None and (options.calibration or options.depth):
         raise PlanError(
             "--rig: expected a complete rig file, found --calibration or --depth beside it. "
             "Leave them out, or write the depth range into the rig's [volume]"
         )
-    require_writable(options.out, overwrite=options.overwrite)
-    cameras = [parse_camera(text) for text in options.cameras or _ask_cameras(options.images)]
-    sequence = [parse_sequence(text) for text in options.sequence or _ask_sequence()]
-    entries: dict[str, Any] = {"title": options.title, "cameras": cameras, "sequence": sequence}
+    _require_values(options)
+    if options.rig is not None:
+        read_rig(options.rig)
+    inputs = (options.rig, options.calibration)
+    require_writable(options.out, overwrite=options.overwrite, inputs=inputs)
+    if options.calibration is not None:
+        matrix_names(options.calibration)
+        require_writable(options.rig_out, overwrite=options.overwrite, inputs=inputs)
+
+
+def _require_values(options: ImportOptions) -> None:
+    if not 0 <= options.black_level < math.inf:
+        raise PlanError(
+            f"--black-level: expected a grey value >= 0, found {options.black_level:g}. Correct it"
+        )
+    for text in options.cameras:
+        require_images(options.images, parse_camera(text))
+    for text in options.sequence:
+        parse_sequence(text)
+    if options.projector_size is not None:
+        parse_size(options.projector_size)
+    if options.depth is not None:
+        parse_depth(options.depth)
+    if options.calibration_keys is not None:
+        parse_keys(options.calibration_keys)
+    if options.bit_depth is not None:
+        parse_bit_depth(str(options.bit_depth))
+
+
+def _require_terminal(options: ImportOptions) -> None:
+    if sys.stdin is not None and sys.stdin.isatty():
+        return
+    option, found = "--sequence 'KIND KEY=VALUE ...'", "none"
+    if not options.cameras:
+        proposals = guess_cameras(options.images)
+        option, found = "--camera NAME=PATTERN", ", ".join(proposals) or "no numbers"
+    raise PlanError(
+        f"import: {option} is needed where nobody can be asked (no terminal); found {found}"
+    )
+
+
+def _entries(options: ImportOptions, cameras: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """Return the tables of the scan file."""
+    entries: dict[str, Any] = {
+        "title": options.title,
+        "cameras": cameras,
+        "sequence": [parse_sequence(text) for text in options.sequence],
+        "bit_depth": options.bit_depth or 8,
+        "black_level_dn": options.black_level,
+    }
     if options.projector_size:
-        entries["projector_size"] = options.projector_size
-    if options.bit_depth != 8:
-        entries["bit_depth"] = options.bit_depth
-    if options.black_level:
-        entries["black_level_dn"] = options.black_level
-    rig_file = _rig_file(options)
-    if rig_file is not None:
-        entries["rig"] = str(rig_file)
-    text = scan_text(entries, images=options.images, out=options.out)
+        entries["projector_size"] = parse_size(options.projector_size)
     if options.calibration is not None:
-        _write_rig(options, options.out.with_name("rig.toml"), cameras)
-    write_text(options.out, text, overwrite=options.overwrite)
-    return _check(options.out, reporter)
+        entries["rig"] = options.rig_out.name
+    elif options.rig is not None:
+        entries["rig"] = relative_path(options.rig, to=options.out.parent)
+    return entries
 
 
-def _rig_file(options: ImportOptions) -> Path | None:
-    if options.calibration is not None:
-        return Path("rig.toml")
-    return options.rig.resolve() if options.rig is not None else None
-
-
-def _write_rig(options: ImportOptions, path: Path, cameras: Sequence[dict[str, Any]]) -> None:
+def _rig_text(options: ImportOptions, cameras: Sequence[dict[str, Any]]) -> str:
     assert options.calibration is not None
-    rig = read_opencv_calibration(
+    rig = read_calibration(
         options.calibration,
-        camera_sizes=[image_size(options.images, camera) for camera in cameras],
-        projector_size=options.projector_size,
-        keys=_keys(options.calibration_keys),
-        second_from_first=not options.inverse_pose,
-        camera_names=[camera["name"] for camera in cameras],
+        images=options.images,
+        cameras=cameras,
+        projector_size=parse_size(options.projector_size) if options.projector_size else None,
+        keys=parse_keys(options.calibration_keys) if options.calibration_keys else None,
+        inverse_pose=options.inverse_pose,
     )
-    text = rig_text(rig)
-    if options.depth_mm is not None:
-        text += slab_text(rig.cameras[0].name, options.depth_mm)
-    write_text(path, text, overwrite=options.overwrite)
+    volume = slab_text(rig.cameras[0].name, parse_depth(options.depth)) if options.depth else ""
+    return rig_text(rig) + volume
 
 
-def _keys(text: str | None) -> CalibrationKeys | None:
-    if text is None:
-        return None
-    names, _, role = text.partition(":")
-    parts = names.split(",")
-    if len(parts) != 6 or role not in ("", "camera", "projector"):
-        raise PlanError(
-            "--calibration-keys: expected M1,D1,M2,D2,R,T and optionally :projector, "
-            f"found '{text}'"
-        )
-    matrix1, distortion1, matrix2, distortion2, rotation, translation = parts
-    return CalibrationKeys(
-        matrix1=matrix1,
-        distortion1=distortion1,
-        matrix2=matrix2,
-        distortion2=distortion2,
-        rotation=rotation,
-        translation=translation,
-        second_role="projector" if role == "projector" else "camera",
-    )
+def _write(options: ImportOptions, scan: str, rig: str | None) -> None:
+    """Write both files, or neither."""
+    if rig is None:
+        write_text(options.out, scan, overwrite=options.overwrite)
+        return
+    earlier = options.rig_out.read_bytes() if options.rig_out.is_file() else None
+    write_text(options.rig_out, rig, overwrite=options.overwrite)
+    try:
+        write_text(options.out, scan, overwrite=options.overwrite)
+    except BaseException:
+        if earlier is None:
+            options.rig_out.unlink()
+        else:
+            options.rig_out.write_bytes(earlier)
+        raise
 
 
-def _ask_cameras(images: Path) -> list[str]:
-    proposals = guess_cameras(images)
-    _require_terminal("--camera NAME=PATTERN", f"found {', '.join(proposals) or 'no numbers'}")
-    answers: list[str] = []
-    for number in range(max(1, len(proposals))):
-        default = proposals[number] if number < len(proposals) else None
-        question = f"Camera {number + 1}: NAME=PATTERN@FIRST ('-' to leave it out)"
-        answer = Prompt.ask(question, default=default)
-        if answer and answer != "-":
-            answers.append(answer)
-    return answers
-
-
-def _ask_sequence() -> list[str]:
-    _require_terminal("--sequence 'KIND KEY=VALUE ...'", "found none")
-    answers: list[str] = []
-    help_text = (
-        "What was projected, in recorded order; an empty answer ends the list.\n"
-        "  fringes period_px=60 n_shifts=12 direction=x shift_direction=-1 phase_offset_deg=-180\n"
-        "  gray cell_px=30 n_bits=6 direction=x inverses=interleaved bright_is=1\n"
-        "  light | dark | unused count=2"
-    )
-    Prompt.ask(help_text + "\nPress Enter", default="", show_default=False)
-    while answer := Prompt.ask(f"Images {len(answers) + 1}", default="", show_default=False):
-        answers.append(answer)
-    return answers
-
-
-def _require_terminal(option: str, found: str) -> None:
-    if not sys.stdin.isatty():
-        raise PlanError(
-            f"import: {option} is needed where nobody can be asked (no terminal); {found}"
-        )
-
-
-def _check(path: Path, reporter: Reporter) -> str:
+def _check(options: ImportOptions, reporter: Reporter) -> str:
     """Measure with the new description; say what came out, and what may be wrong."""
+    path = options.out
     try:
         with reporter.running():
             scan = read_scan(path, progress=reporter.step)
             result = measure(scan, MeasureOptions(), stage=reporter.stage)
     except Fringe3DError as problem:
         raise PlanError(
-            f"{path} is written, but the check failed: {problem}. Correct the file and check it "
-            "with 'fringe3d measure'"
+            f"{path} is written, but the check failed: {str(problem).rstrip('.')}"
+            f"{_remedy(options, problem)}. 'fringe3d measure' repeats the check"
         ) from None
+    except KeyboardInterrupt:
+        fail(f"interrupted; {path} is written but not checked. 'fringe3d measure' checks it")
+        raise SystemExit(130) from None
     lines = [f"{path}: {summary(result)}"]
     if result.points is None:
-        lines.append("for points add --calibration FILE (or --rig FILE) and --projector-size")
+        lines.append(
+            "for points import again with --overwrite and --calibration FILE (or --rig FILE)"
+        )
     lines += [f"{finding.level}: {finding.text}" for finding in result.findings]
     return "\n".join(lines)
+
+
+def _remedy(options: ImportOptions, problem: Fringe3DError) -> str:
+    """Return what else may mend a pose that contradicts the images."""
+    is_pose = isinstance(problem, CalibrationError | EmptyResultError | RigError)
+    if options.calibration is None or not is_pose:
+        return ""
+    how = "without" if options.inverse_pose else "with"
+    return (
+        ". Or R and T map the other way than was said: import again "
+        f"{how} --inverse-pose, and with --overwrite"
+    )

@@ -81,6 +81,7 @@ def resolve_orders(
     A candidate is an order of the observed class whose absolute phase lies on the image, in the
     projector, of the viewing ray inside the volume: ``K(p) = {k : Phi(near) - eps <= phi + 2 pi k
     <= Phi(far) + eps}``. A map that is absolute already is returned as it is.
+    Where no order fits, the surface lies outside the volume.
     """
     if phases.is_absolute:
         return phases
@@ -106,7 +107,7 @@ def resolve_orders(
     rejection = np.zeros(valid.shape, np.uint16)
     found = np.zeros(valid.shape, np.int32)
     found[valid] = count
-    reject(rejection, valid & (found == 0), Rejection.NO_MATCH)
+    reject(rejection, valid & (found == 0), Rejection.OUTSIDE_VOLUME)
     reject(rejection, found > 1, Rejection.AMBIGUOUS)
     order_map = np.full(valid.shape, NO_ORDER, np.int32)
     order_map[valid] = chosen

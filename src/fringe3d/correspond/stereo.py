@@ -74,22 +74,22 @@ def match_cameras(
     found = np.empty((len(near), 3))
     state = np.empty(len(near), np.int8)
     to_c2 = camera2.device_from_world
-    _search.search(
-        phases1.phase[valid],
-        phases1.order_class[valid],
-        to_c2.apply(origin),
-        np.ascontiguousarray(to_c2.rotate(directions)),
-        near,
-        far,
-        lens_of(camera2),
-        phases2.phase,
-        phases2.order_class,
-        found,
-        state,
-    )
+    base, along = to_c2.apply(origin), np.ascontiguousarray(to_c2.rotate(directions))
+    phase1, order1 = phases1.phase[valid], phases1.order_class[valid]
+    maps2 = lens_of(camera2), phases2.phase, phases2.order_class
+    _search.search(phase1, order1, base, along, near, far, *maps2, found, state)
     if volume is not None:
         enter, leave = depth_interval(origin, directions, volume)
         state[~(enter < leave)] = OUTSIDE_VOLUME
+        if phases1.is_absolute:
+            # The table under the object has its true point outside the volume: say so.
+            lost = np.flatnonzero(state == _search.NONE)
+            near, far = depth_interval(origin, directions[lost], seen)
+            beyond = np.empty((len(lost), 3)), np.empty(len(lost), np.int8)
+            _search.search(
+                phase1[lost], order1[lost], base, along[lost], near, far, *maps2, *beyond
+            )
+            state[lost[beyond[1] == _search.FOUND]] = OUTSIDE_VOLUME
     return _correspondences(phases1, phases2, camera2.name, valid, found, state)
 
 

@@ -7,6 +7,7 @@ from fringe3d.health.geometry import (
     check_trinocular,
     check_yield,
 )
+from fringe3d.health.recording import check_files
 from fringe3d.health.response import axis_name, check_phases, period_disagreement
 from fringe3d.health.texture import check_texture
 
@@ -15,6 +16,7 @@ __all__ = [
     "axis_name",
     "check_ambiguity",
     "check_epipolar",
+    "check_files",
     "check_phases",
     "check_texture",
     "check_trinocular",

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Literal
 
 Level = Literal["ok", "warning", "error"]
@@ -16,11 +17,13 @@ class Finding:
     ----------
     level : "ok", "warning" or "error"
     name : str; key of the figure, with its unit
-    value : float
+    value : float; the worst, where there are several figures
     text : str; what was found and what to do
+    figures : mapping of str to float; the single figures behind `value`, where there are several
     """
 
     level: Level
     name: str
     value: float
     text: str
+    figures: Mapping[str, float] = field(default_factory=dict)

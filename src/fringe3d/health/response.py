@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +19,7 @@ MENDED_WARNING, MENDED_ERROR = 0.08, 0.2
 
 GAMMA_DISAGREEMENT_PX = 0.3
 GAMMA_EXPLAINED = 0.4
-HARMONIC_WARNING = 0.05
+HARMONIC_NOTABLE = 0.05
 RIPPLE_WARNING_RAD = 0.06
 """A hundredth of a period; the same as a second harmonic of 6 % with three steps."""
 
@@ -33,8 +35,9 @@ def check_phases(cameras: Sequence[CameraPhases], /) -> list[Finding]:
     for camera in cameras:
         for direction in camera.directions:
             findings += _code_findings(direction.main)
-            findings += [_period_finding(direction, other) for other in direction.others]
-            findings += _harmonic_findings(direction)
+        findings += _period_findings(camera)
+        findings += _harmonic_findings(camera)
+        findings += _ripple_findings(camera)
     return findings
 
 
@@ -82,61 +85,138 @@ def explained_by_nonlinearity(a: PhaseMap, b: PhaseMap, n_shifts: int, /) -> flo
     return float(1 - ((d - model @ coefficients) ** 2).sum() / ((d - d.mean()) ** 2).sum())
 
 
-def _period_finding(direction: DirectionPhases, other: PhaseMap) -> Finding:
-    main = direction.main
-    difference = period_disagreement(main, other)
-    finite = difference[np.isfinite(difference)]
-    where = f"camera '{main.device_name}', {axis_name(main.angle)}"
-    name = f"{main.device_name}_{axis_name(main.angle)}_period_disagreement_px"
-    if not len(finite):
-        return Finding("warning", name, float("nan"), f"{where}: no pixel has both periods")
-    low, high = np.percentile(finite, [2.5, 97.5])
-    spread = float(high - low) / 2
-    noise = 2 * np.hypot(_sigma_px(main), _sigma_px(other))
-    pair = f"{main.period_px:g} and {other.period_px:g} px"
-    if spread <= max(GAMMA_DISAGREEMENT_PX, 3 * noise):
-        return Finding("ok", name, spread, f"{where}: periods {pair} agree to {spread:.2f} px")
-    n_shifts = min(m.n_shifts for m in direction.wrapped)
-    share = explained_by_nonlinearity(main, other, n_shifts)
-    typical = float(np.median(np.abs(finite)))
+Verdict = Literal["agree", "by gamma", "otherwise", "unseen"]
+
+
+@dataclass(frozen=True, slots=True)
+class _Figure:
+    """A figure of one fringe set or pair of periods, and the key that it is kept under."""
+
+    key: str
+    value: float
+    about: str
+    n_shifts: int
+
+
+@dataclass(frozen=True, slots=True)
+class _Disagreement(_Figure):
+    """Of two periods, px: `value` is half the range of 95 % of the pixels."""
+
+    median: float
+    verdict: Verdict
+    gamma: float = 0.0
+
+
+def _merged(level: Level, name: str, figures: Sequence[_Figure], text: str) -> Finding:
+    """Return one finding for the figures of a camera that tell the same."""
+    worst = max(figure.value for figure in figures)
+    return Finding(level, name, worst, text, {f.key: f.value for f in figures})
+
+
+def _where(camera: CameraPhases, figures: Sequence[_Figure], what: str = "fringe sets") -> str:
+    places = ", ".join(figure.about for figure in figures)
+    several = f"{len(figures)} {what} ({places})"
+    return f"camera '{camera.device_name}', {places if len(figures) == 1 else several}"
+
+
+def _range(values: Iterable[float], form: str) -> str:
+    """Return the smallest to the largest value in words.
+
+    Examples
+    --------
+    >>> _range([12.3, 9.1], ".1f"), _range([0.34, 0.341], ".2f")
+    ('9.1-12.3', '0.34')
+    """
+    ordered = sorted(values)
+    low, high = format(ordered[0], form), format(ordered[-1], form)
+    return low if low == high else f"{low}-{high}"
+
+
+def _period_findings(camera: CameraPhases) -> list[Finding]:
+    """Judge how far the periods of each direction agree; one finding for each verdict."""
+    groups: dict[Verdict, list[_Disagreement]] = {}
+    for direction in camera.directions:
+        for other in direction.others:
+            pair = _disagreement(direction, other)
+            groups.setdefault(pair.verdict, []).append(pair)
+    return [_period_finding(camera, verdict, pairs) for verdict, pairs in groups.items()]
+
+
+def _period_finding(
+    camera: CameraPhases, verdict: Verdict, pairs: Sequence[_Disagreement]
+) -> Finding:
+    name = f"{camera.device_name}_period_disagreement_px"
+    where = _where(camera, pairs, "pairs of periods")
+    if verdict == "unseen":
+        return _merged("warning", name, pairs, f"{where}: no pixel has both periods")
+    spread = _range([p.value for p in pairs], ".2f" if verdict == "agree" else ".1f")
+    if verdict == "agree":
+        return _merged("ok", name, pairs, f"{where}: the periods agree to {spread} px")
     said = (
-        f"{where}: the periods {pair} disagree by {typical:.1f} px (median) and up to "
-        f"{spread:.1f} px (95 % of the pixels)"
+        f"{where}: the periods disagree by {_range([p.median for p in pairs], '.1f')} px (median) "
+        f"and up to {spread} px (95 % of the pixels)"
     )
-    if share >= GAMMA_EXPLAINED:
+    if verdict == "by gamma":
         cure = (
-            f"{share:.0%} of it repeats {n_shifts} times per period: the gamma (nonlinearity) of "
-            "projector or camera is not corrected. Linearise the projector, or use more steps"
+            f"{_range([100 * p.gamma for p in pairs], '.0f')} % of it repeats "
+            f"{_range([p.n_shifts for p in pairs], 'd')} times per period: the gamma "
+            "(nonlinearity) of projector or camera is not corrected. Linearise the projector, or "
+            "use more steps"
         )
     else:
         cure = (
             "it does not look like gamma: check the periods in the sequence, the order of the "
             "images, and whether anything moved"
         )
-    return Finding("warning", name, spread, f"{said}; {cure}")
+    return _merged("warning", name, pairs, f"{said}; {cure}")
 
 
-def _harmonic_findings(direction: DirectionPhases) -> list[Finding]:
-    findings = []
-    for wrapped in direction.wrapped:
-        ratio = wrapped.harmonic_ratio
-        if not np.isfinite(ratio):
-            if _periods_seen(direction.main, wrapped.period_px) >= MIN_RIPPLE_PERIODS:
-                findings += _ripple_findings(wrapped)
-            continue
-        name = f"{wrapped.device_name}_{axis_name(wrapped.angle)}_{wrapped.period_px:g}px_harmonic"
-        text = (
-            f"camera '{wrapped.device_name}', {axis_name(wrapped.angle)}: second harmonic "
-            f"{ratio:.1%} of the fringe of {wrapped.period_px:g} px"
+def _disagreement(direction: DirectionPhases, other: PhaseMap) -> _Disagreement:
+    main = direction.main
+    axis = axis_name(main.angle)
+    difference = period_disagreement(main, other)
+    finite = difference[np.isfinite(difference)]
+    n_shifts = min(m.n_shifts for m in direction.wrapped)
+    key = f"{main.device_name}_{axis}_{main.period_px:g}px_{other.period_px:g}px_disagreement_px"
+    about = f"{axis} {main.period_px:.4g} and {other.period_px:.4g} px"
+    if not len(finite):
+        return _Disagreement(key, float("nan"), about, n_shifts, float("nan"), "unseen")
+    low, high = np.percentile(finite, [2.5, 97.5])
+    spread, median = float(high - low) / 2, float(np.median(np.abs(finite)))
+    noise = 2 * float(np.hypot(_sigma_px(main), _sigma_px(other)))
+    if spread <= max(GAMMA_DISAGREEMENT_PX, 3 * noise):
+        return _Disagreement(key, spread, about, n_shifts, median, "agree")
+    gamma = explained_by_nonlinearity(main, other, n_shifts)
+    verdict: Verdict = "by gamma" if gamma >= GAMMA_EXPLAINED else "otherwise"
+    return _Disagreement(key, spread, about, n_shifts, median, verdict, gamma)
+
+
+def _harmonic_findings(camera: CameraPhases) -> list[Finding]:
+    """Tell the second harmonic, which five and more steps show and keep out of the phase."""
+    figures = [
+        _set_figure(wrapped, wrapped.harmonic_ratio, "harmonic")
+        for direction in camera.directions
+        for wrapped in direction.wrapped
+        if np.isfinite(wrapped.harmonic_ratio)
+    ]
+    if not figures:
+        return []
+    percent = _range([100 * figure.value for figure in figures], ".1f")
+    text = f"{_where(camera, figures)}: second harmonic {percent} % of the fringe"
+    worst = max(figure.value for figure in figures)
+    if worst > HARMONIC_NOTABLE:
+        text += (
+            "; the gamma of projector or camera is not corrected. Harmless with "
+            f"{_range([figure.n_shifts for figure in figures], 'd')} steps; with 3 the phase would "
+            f"ripple by {worst:.2f} rad"
         )
-        if ratio > HARMONIC_WARNING:
-            text += (
-                "; the gamma of projector or camera is not corrected. Harmless for "
-                f"{wrapped.n_shifts} steps, but not when measuring with 3"
-            )
-        level: Level = "warning" if ratio > HARMONIC_WARNING else "ok"
-        findings.append(Finding(level, name, ratio, text))
-    return findings
+    return [_merged("ok", f"{camera.device_name}_harmonic", figures, text)]
+
+
+def _set_figure(wrapped: WrappedPhaseMap, value: float, unit: str) -> _Figure:
+    axis = axis_name(wrapped.angle)
+    key = f"{wrapped.device_name}_{axis}_{wrapped.period_px:g}px_{unit}"
+    return _Figure(key, value, f"{axis} {wrapped.period_px:.4g} px", wrapped.n_shifts)
 
 
 def _periods_seen(main: PhaseMap, period_px: float) -> float:
@@ -150,28 +230,50 @@ def _periods_seen(main: PhaseMap, period_px: float) -> float:
     return float(high - low) / period_px
 
 
-def _ripple_findings(wrapped: WrappedPhaseMap) -> list[Finding]:
+def _ripple_findings(camera: CameraPhases) -> list[Finding]:
     """Judge a nonlinear response from how often each phase occurs.
 
-    With few steps the harmonics cannot be seen, but they ripple the phase, ``a sin(N phi)``, and
-    a surface under many fringes then shows some phases more often than others:
-    ``|mean exp(i N phi)| = N a / 2`` for small a.
+    With few steps the harmonics cannot be seen, but they ripple the phase, and a surface under
+    many fringes then shows some phases more often than others.
+    """
+    figures = [
+        _set_figure(wrapped, _ripple_rad(wrapped), "ripple_rad")
+        for direction in camera.directions
+        for wrapped in direction.wrapped
+        if not np.isfinite(wrapped.harmonic_ratio)
+        and _periods_seen(direction.main, wrapped.period_px) >= MIN_RIPPLE_PERIODS
+    ]
+    weak = [figure for figure in figures if figure.value <= RIPPLE_WARNING_RAD]
+    strong = [figure for figure in figures if figure.value > RIPPLE_WARNING_RAD]
+    cure = "the gamma of projector or camera is not corrected. Linearise it, or use more steps"
+    name = f"{camera.device_name}_ripple_rad"
+    findings = []
+    if weak:
+        findings.append(_merged("ok", name, weak, _ripple_text(camera, weak)))
+    if strong:
+        text = f"{_ripple_text(camera, strong)}; {cure}"
+        findings.append(_merged("warning", name, strong, text))
+    return findings
+
+
+def _ripple_text(camera: CameraPhases, figures: Sequence[_Figure]) -> str:
+    return (
+        f"{_where(camera, figures)}: the phase ripples by about "
+        f"{_range([figure.value for figure in figures], '.2f')} rad, "
+        f"{_range([figure.n_shifts for figure in figures], 'd')} times per period"
+    )
+
+
+def _ripple_rad(wrapped: WrappedPhaseMap) -> float:
+    """Return the ripple of the phase, rad; NaN where there are too few pixels.
+
+    It is ``a sin(N phi)`` for N steps, and ``|mean exp(i N phi)| = N a / 2`` for small a.
     """
     phase = wrapped.phase[np.isfinite(wrapped.phase)].astype(np.float64)
     if len(phase) < MIN_RIPPLE_PIXELS:
-        return []
+        return float("nan")
     n = wrapped.n_shifts
-    ripple = 2 * float(np.abs(np.exp(1j * n * phase).mean())) / n
-    axis = axis_name(wrapped.angle)
-    name = f"{wrapped.device_name}_{axis}_{wrapped.period_px:g}px_ripple_rad"
-    text = (
-        f"camera '{wrapped.device_name}', {axis}: the phase of the fringe of "
-        f"{wrapped.period_px:g} px ripples by about {ripple:.2f} rad, {n} times per period"
-    )
-    if ripple <= RIPPLE_WARNING_RAD:
-        return [Finding("ok", name, ripple, text)]
-    cure = "the gamma of projector or camera is not corrected. Linearise it, or use more steps"
-    return [Finding("warning", name, ripple, f"{text}; {cure}")]
+    return 2 * float(np.abs(np.exp(1j * n * phase).mean())) / n
 
 
 def _sigma_px(phases: PhaseMap) -> float:

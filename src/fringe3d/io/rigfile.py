@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -12,11 +13,13 @@ from pydantic import Field, field_validator
 from fringe3d.errors import RigError
 from fringe3d.io.toml import StrictModel, read_toml
 from fringe3d.model import Device, MeasuringVolume, Rig, RigidTransform
+from fringe3d.model.volume import BoxShape, CylinderShape, Shape, SlabShape
 
 Vector2 = tuple[float, float]
 Vector3 = tuple[float, float, float]
 
 FORMAT = "fringe3d-rig/1"
+KINDS = {BoxShape: "box", CylinderShape: "cylinder", SlabShape: "depth_slab"}
 
 
 class DeviceTable(StrictModel):
@@ -179,8 +182,9 @@ def _highest(volume: MeasuringVolume, direction: np.ndarray) -> float:
     """Return the largest ``direction @ point`` over a volume; infinite where it is open."""
     from scipy.optimize import linprog
 
+    # Presolve calls some open volumes empty, as the slab of a device that looks elsewhere.
     result = linprog(-direction, A_ub=volume.normals, b_ub=volume.offsets_mm,
-                     bounds=(None, None))  # fmt: skip
+                     bounds=(None, None), options={"presolve": False})  # fmt: skip
     if result.status == 2:
         raise ValueError("volume: expected some points inside, found none (it is empty)")
     return -float(result.fun or 0.0) if result.status == 0 else float("inf")
@@ -210,14 +214,41 @@ def rig_text(rig: Rig, /) -> str:
         devices.append(table)
     document["devices"] = devices
     if rig.volume is not None:
-        volume = tomlkit.table()
-        volume["kind"] = "half_spaces"
-        normals = tomlkit.array()
-        normals.extend(rig.volume.normals.tolist())
-        volume["normals"] = normals.multiline(True)
-        volume["offsets_mm"] = rig.volume.offsets_mm.tolist()
-        document["volume"] = volume
+        document["volume"] = _volume_table(rig.volume, rig)
     return tomlkit.dumps(document)
+
+
+def _volume_table(volume: MeasuringVolume, rig: Rig) -> tomlkit.items.Table:
+    """Describe a volume as it was made; by its half-spaces if that is not known any more."""
+    table = tomlkit.table()
+    shape = volume.shape
+    if shape is not None and _still_holds(shape, volume, rig):
+        table["kind"] = KINDS[type(shape)]
+        table.update(
+            {key: list(v) if isinstance(v, tuple) else v for key, v in asdict(shape).items()}
+        )
+        return table
+    table["kind"] = "half_spaces"
+    normals = tomlkit.array()
+    normals.extend(volume.normals.tolist())
+    table["normals"] = normals.multiline(True)
+    table["offsets_mm"] = volume.offsets_mm.tolist()
+    return table
+
+
+def _still_holds(shape: Shape, volume: MeasuringVolume, rig: Rig) -> bool:
+    """Tell whether a slab belongs to a device as it stands in the rig: it may have moved since."""
+    if not isinstance(shape, SlabShape):
+        return True
+    devices = {device.name: device for device in rig.devices}
+    if shape.device not in devices:
+        return False
+    slab = MeasuringVolume.depth_slab(
+        devices[shape.device], depth_min_mm=shape.depth_min_mm, depth_max_mm=shape.depth_max_mm
+    )
+    return np.array_equal(slab.normals, volume.normals) and np.array_equal(
+        slab.offsets_mm, volume.offsets_mm
+    )
 
 
 def slab_text(device_name: str, depth_mm: tuple[float, float], /) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections import Counter
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -247,6 +248,12 @@ def read_scan_table(path: Path, /) -> ScanTable:
         raise PlanError(
             f"{path}: image_indices: expected {n_images} numbers, one for each pattern of the "
             f"sequence, found {len(table.image_indices)}. Correct one of them"
+        )
+    repeated = sorted(n for n, times in Counter(table.image_indices).items() if times > 1)
+    if repeated:
+        raise PlanError(
+            f"{path}: image_indices: expected a different image for each pattern, found "
+            f"{', '.join(map(str, repeated))} more than once. Correct the list"
         )
     for camera in table.cameras:
         if camera.files is not None and len(camera.files) != n_images:

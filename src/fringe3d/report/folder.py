@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import platform
 import textwrap
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fringe3d import __version__
-from fringe3d.health import axis_name
+from fringe3d.health import Finding, axis_name
 from fringe3d.io.atomic import new_folder
 from fringe3d.io.results import toml_document, write_ply, write_points
 from fringe3d.io.rigfile import rig_text
@@ -26,6 +26,23 @@ from fringe3d.report.overview import write_overview
 TITLE_COLUMNS = 175
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Request:
+    """What was asked for, as the user wrote it: enough to ask again.
+
+    Parameters
+    ----------
+    command : str; the command line
+    scan : Path; scan folder or scan file
+    images, rig : Path or None; None where the scan file names them
+    """
+
+    command: str
+    scan: Path
+    images: Path | None = None
+    rig: Path | None = None
+
+
 def write_result(
     out: Path,
     scan: Scan,
@@ -33,12 +50,13 @@ def write_result(
     result: Measurement,
     /,
     *,
+    request: Request | None = None,
     overwrite: bool = False,
 ) -> None:
     """Write everything that a measurement leaves, completely or not at all.
 
     ``points.npz`` and ``cloud.ply`` (``phase.npz`` without a rig), ``overview.png`` and
-    ``measure.toml``.
+    ``measure.toml``, which repeats the request if there is one.
     """
     with new_folder(out, overwrite=overwrite) as folder:
         if result.points is None:
@@ -49,7 +67,7 @@ def write_result(
                 folder / "cloud.ply", point_cloud(result), comment=f"fringe3d {__version__}, mm"
             )
         write_overview(folder / "overview.png", result, title=_title(scan, result))
-        record = measure_record(scan, options, result)
+        record = measure_record(scan, options, result, request=request)
         (folder / "measure.toml").write_text(toml_document(record), encoding="utf-8")
 
 
@@ -115,7 +133,14 @@ def summary(result: Measurement, /) -> str:
     )
 
 
-def measure_record(scan: Scan, options: MeasureOptions, result: Measurement, /) -> dict[str, Any]:
+def measure_record(
+    scan: Scan,
+    options: MeasureOptions,
+    result: Measurement,
+    /,
+    *,
+    request: Request | None = None,
+) -> dict[str, Any]:
     """Return what ``measure.toml`` says: everything needed to repeat and to judge the result."""
     used = {stack.device_name: stack for stack in scan.stacks}
     record: dict[str, Any] = {
@@ -128,7 +153,7 @@ def measure_record(scan: Scan, options: MeasureOptions, result: Measurement, /) 
         "options": {k: list(v) if isinstance(v, tuple) else v for k, v in asdict(options).items()},
         "pixels": {"total": result.rejection.size, "accepted": int((result.rejection == 0).sum()),
                    "rejected": count_by_reason(result.rejection)},
-        "health": [asdict(finding) for finding in result.findings],
+        "health": [_finding_record(finding) for finding in result.findings],
         "images": {name: {"count": len(stack.images), "sha256": _digest(stack.images)}
                    for name, stack in used.items()},
         "seconds": {name: round(value, 3) for name, value in result.seconds.items()},
@@ -139,12 +164,21 @@ def measure_record(scan: Scan, options: MeasureOptions, result: Measurement, /) 
             for camera in result.phases for direction in camera.directions
         ],
     }  # fmt: skip
+    if request is not None:
+        paths = {"scan": request.scan, "images": request.images, "rig": request.rig}
+        given = {name: str(path) for name, path in paths.items() if path is not None}
+        record["request"] = {"command": request.command, **given}
     if scan.rig is not None:
         record["rig"] = {
             "provenance": scan.rig.provenance,
             "sha256": hashlib.sha256(rig_text(scan.rig).encode()).hexdigest(),
         }
     return record
+
+
+def _finding_record(finding: Finding) -> dict[str, Any]:
+    record = asdict(finding)
+    return record if finding.figures else {k: v for k, v in record.items() if k != "figures"}
 
 
 def _digest(images: NDArray[Any]) -> str:

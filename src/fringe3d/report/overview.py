@@ -26,6 +26,8 @@ MAX_PANEL_PX = 900
 """Maps are thinned to about this size; nobody sees more in one panel."""
 
 MARGIN_PX = 12
+LEGEND_COLUMNS = 3
+TWO_PI = 2 * np.pi
 
 
 def write_overview(path: Path, result: Measurement, /, *, title: str) -> None:
@@ -78,9 +80,11 @@ def _point_panels(result: Measurement) -> list[Drawer]:
     depth = result.points.points_mm[..., 2]
     order = np.where(result.matches.rejection == 0, result.matches.fringe_order, np.nan)
     is_code = main.is_quantised
-    wrapped = _map("projector column, px" if is_code else "wrapped phase, rad",
-                   main.position_px if is_code else main.phase,
-                   "viridis" if is_code else "twilight")  # fmt: skip
+    wrapped = (
+        _map("projector column, px", main.position_px, "viridis")
+        if is_code
+        else _wrapped("wrapped phase, rad", main.phase)
+    )
     return [
         _map(f"image: mean brightness of '{main.device_name}', DN", main.offset, "gray"),
         _map("modulation (fringe contrast), DN", main.modulation, "magma"),
@@ -102,7 +106,7 @@ def _phase_panels(result: Measurement) -> list[Drawer]:
         axis = axis_name(direction.main.angle)
         for phases in (direction.main, *direction.others):
             label = f"{axis}, period {phases.period_px:g} px"
-            panels.append(_map(f"wrapped phase, rad: {label}", phases.phase, "twilight"))
+            panels.append(_wrapped(f"wrapped phase, rad: {label}", phases.phase))
         if direction.main.is_absolute:
             panels.append(
                 _map(f"projector coordinate, px: {axis}", direction.main.position_px, "viridis")
@@ -127,6 +131,7 @@ def _map(
     colors: str,
     *,
     limits: tuple[float, float] | None = None,
+    ticks: dict[float, str] | None = None,
 ) -> Drawer:
     def draw(axis: Axes, window: tuple[slice, slice]) -> None:
         shown = _thin(values, window)
@@ -134,9 +139,22 @@ def _map(
         image = axis.imshow(shown, cmap=colors, vmin=low, vmax=high, extent=_extent(window),
                             interpolation="nearest")  # fmt: skip
         axis.set_title(title, fontsize=10, loc="left")
-        axis.figure.colorbar(image, ax=axis, shrink=0.85, pad=0.01)
+        bar = axis.figure.colorbar(image, ax=axis, shrink=0.85, pad=0.01)
+        if ticks:
+            bar.set_ticks(list(ticks), labels=list(ticks.values()))
 
     return draw
+
+
+def _wrapped(title: str, phase: NDArray[np.float32]) -> Drawer:
+    """Draw a phase as wrapped within (-pi, pi], whatever turn it is kept in."""
+    values = np.where(phase > np.pi, phase - TWO_PI, phase)
+    ticks = {
+        -np.pi: "\N{MINUS SIGN}\N{GREEK SMALL LETTER PI}",
+        0.0: "0",
+        np.pi: "\N{GREEK SMALL LETTER PI}",
+    }
+    return _map(title, values, "twilight", limits=(-np.pi, np.pi), ticks=ticks)
 
 
 def _relief(title: str, depth: NDArray[np.float64]) -> Drawer:
@@ -179,7 +197,8 @@ def _reasons(rejection: NDArray[np.uint16]) -> Drawer:
                 words = (reason.name or "").replace("_", " ").lower()
                 handles.append(Patch(color=color, label=f"{words}: {counts[reason.name]:,}"))
         axis.set_title(f"rejected by reason, of {total:,} pixels", fontsize=10, loc="left")
-        axis.legend(handles=handles, fontsize=7.5, loc="lower right", framealpha=0.85)
+        axis.legend(handles=handles, fontsize=7.5, ncols=LEGEND_COLUMNS, frameon=False,
+                    loc="upper center", bbox_to_anchor=(0.5, -0.08))  # fmt: skip
 
     return draw
 

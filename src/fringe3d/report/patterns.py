@@ -15,6 +15,7 @@ from fringe3d.patterns import pattern_image
 
 SHEET_COLUMNS = 6
 THUMBNAIL_STEP_PX = 512
+FRAME = "0.6"
 
 
 def write_patterns(
@@ -38,10 +39,13 @@ def _contact_sheet(path: Path, plan: PatternPlan, shape: tuple[int, int]) -> Non
     figure = Figure(figsize=(2.4 * n_cols, 2.2 * n_rows + 0.5), dpi=100, layout="constrained")
     axes = figure.subplots(n_rows, n_cols, squeeze=False).ravel()
     step = max(1, max(shape) // THUMBNAIL_STEP_PX)
-    for axis in axes:
-        axis.set_axis_off()
+    for axis in axes[plan.n_images :]:
+        axis.set_visible(False)
     for index, (axis, pattern) in enumerate(zip(axes, plan.patterns, strict=False)):
         axis.imshow(pattern_image(pattern, shape)[::step, ::step], cmap="gray", vmin=0, vmax=255)
+        axis.set(xticks=[], yticks=[])
+        # A light image is white on white without a frame.
+        axis.spines[:].set(linewidth=0.5, color=FRAME)
         axis.set_title(f"{index:03d}  {_label(pattern)}", fontsize=7.5)
     figure.suptitle(f"{plan.n_images} images, {shape[1]} x {shape[0]} px", fontsize=10)
     figure.savefig(path)

@@ -1,5 +1,28 @@
-"""Recordings with exact truth; never imports, nor is imported by, the estimator."""
+"""Scans with exact truth: scenes, ray casting, sensors. A stranger to the estimator."""
 
-from fringe3d.simulate.closed_form import SphereScene, Truth, demo_rig, simulate
+from fringe3d.simulate.mesh import Mesh
+from fringe3d.simulate.objects import OBJECTS, from_file
+from fringe3d.simulate.optics import CameraOptics, ProjectorOptics, Recording, Surface
+from fringe3d.simulate.presets import PRESETS, Preset
+from fringe3d.simulate.render import Setup, Stage, prepare, record, turntable
+from fringe3d.simulate.scene import Scene
+from fringe3d.simulate.truth import Truth
 
-__all__ = ["SphereScene", "Truth", "demo_rig", "simulate"]
+__all__ = [
+    "OBJECTS",
+    "PRESETS",
+    "CameraOptics",
+    "Mesh",
+    "Preset",
+    "ProjectorOptics",
+    "Recording",
+    "Scene",
+    "Setup",
+    "Stage",
+    "Surface",
+    "Truth",
+    "from_file",
+    "prepare",
+    "record",
+    "turntable",
+]

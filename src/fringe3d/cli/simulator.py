@@ -1,0 +1,224 @@
+"""Simulated scans: a scan folder, its truth and the settings that made it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fringe3d.cli.console import Reporter
+from fringe3d.errors import MethodError
+from fringe3d.io.atomic import new_folder
+from fringe3d.io.scanfile import read_plan
+from fringe3d.io.scanfolder import write_scan
+from fringe3d.io.simulation import read_settings, settings_text, write_truth
+from fringe3d.model import PatternPlan
+from fringe3d.patterns import across, method_plan
+from fringe3d.report.simulation import draw_scene
+from fringe3d.simulate import (
+    OBJECTS,
+    PRESETS,
+    CameraOptics,
+    Preset,
+    ProjectorOptics,
+    Recording,
+    Setup,
+    Stage,
+    Surface,
+    Truth,
+    from_file,
+    prepare,
+    record,
+    turntable,
+)
+from fringe3d.simulate.objects import MESH_SUFFIXES
+
+KINDS = {
+    "surface": Surface,
+    "camera": CameraOptics,
+    "projector": ProjectorOptics,
+    "recording": Recording,
+}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SimulateOptions:
+    """What the user said on the command line; see ``fringe3d simulate --help``."""
+
+    preset: str
+    thing: str
+    plan: str
+    seed: int
+    out: Path
+    steps: int
+    period_px: float | None
+    camera_size: tuple[int, int]
+    background: str
+    n_rays: int
+    positions: int
+    tilts_deg: tuple[float, ...]
+    settings: Path | None
+    overwrite: bool
+
+
+def run_simulation(options: SimulateOptions, reporter: Reporter, /) -> str:
+    """Render, write the scan (or a series of scans) and its truth; return what to print."""
+    preset = _preset(options)
+    settings = _settings(options)
+    try:
+        plan = _plan(options, preset)
+        scene = preset.scene(
+            _thing(options),
+            settings["surface"],
+            background=options.background,
+            scaled=options.thing in OBJECTS,
+        )
+        setup = Setup(camera=settings["camera"], projector=settings["projector"],
+                      recording=settings["recording"], n_rays=options.n_rays)  # fmt: skip
+        scenes = list(turntable(scene, n_positions=options.positions,
+                                tilts_deg=options.tilts_deg))  # fmt: skip
+        with new_folder(options.out, overwrite=options.overwrite) as folder:
+            for number, turned in enumerate(scenes):
+                stage = prepare(preset.rig, turned, setup, progress=reporter.step)
+                place = folder if len(scenes) == 1 else folder / f"{number:03d}"
+                _write(place, stage, plan, options, settings, number, reporter)
+            if len(scenes) > 1:
+                draw_scene(folder / "overview.png", stage, plan, title=_title(options))
+    except ValueError as problem:
+        raise MethodError(f"{problem}. See fringe3d simulate --help") from None
+    scans = "a scan" if len(scenes) == 1 else f"{len(scenes)} scans"
+    width, height = options.camera_size
+    return (
+        f"{scans} of {plan.n_images} images, {len(preset.rig.cameras)} camera(s) {width} x "
+        f"{height} px, with truth -> {options.out}"
+    )
+
+
+def _preset(options: SimulateOptions) -> Preset:
+    if options.preset not in PRESETS:
+        raise MethodError(f"preset: expected one of {', '.join(PRESETS)}, found '{options.preset}'")
+    return PRESETS[options.preset](options.camera_size)
+
+
+def _settings(options: SimulateOptions) -> dict[str, Any]:
+    if options.settings is None:
+        return {name: kind() for name, kind in KINDS.items()}
+    return read_settings(options.settings, KINDS)
+
+
+def _plan(options: SimulateOptions, preset: Preset) -> PatternPlan:
+    assert preset.rig.projector is not None
+    shape = preset.rig.projector.shape
+    if options.plan.endswith(".toml"):
+        plan = read_plan(Path(options.plan))
+        if plan.projector_shape not in (None, shape):
+            raise ValueError(
+                f"{options.plan}: expected a plan for {shape[1]} x {shape[0]} projector pixels, "
+                f"found {plan.projector_shape}"
+            )
+        return PatternPlan(patterns=plan.patterns, projector_shape=shape)
+    return method_plan(
+        options.plan,
+        shape,
+        period_px=options.period_px or preset.period_px,
+        n_shifts=options.steps,
+        reduced_bits=preset.reduced_bits,
+    )
+
+
+def _thing(options: SimulateOptions) -> Any:
+    if options.thing in OBJECTS:
+        return OBJECTS[options.thing]()
+    path = Path(options.thing)
+    if path.suffix.lower() not in MESH_SUFFIXES:
+        raise ValueError(
+            f"--object: expected one of {', '.join(OBJECTS)}, or a mesh file "
+            f"({', '.join(MESH_SUFFIXES)}), found '{options.thing}'"
+        )
+    return from_file(path)
+
+
+def _write(
+    folder: Path,
+    stage: Stage,
+    plan: PatternPlan,
+    options: SimulateOptions,
+    settings: dict[str, Any],
+    number: int,
+    reporter: Reporter,
+) -> None:
+    scan = record(stage, plan, seed=options.seed + number, title=_title(options),
+                  progress=reporter.step)  # fmt: skip
+    write_scan(folder, scan)
+    for place in range(plan.n_images - len(stage.setup.recording.dropped), plan.n_images):
+        for stack in scan.stacks:  # what was dropped is missing at the end
+            (folder / stack.device_name / f"{place:03d}.png").unlink()
+    maps = truth_maps(stage.truths, plan)
+    maps["world_from_object"] = np.eye(4)
+    maps["world_from_object"][:3, :3] = stage.scene.world_from_object.rotation
+    maps["world_from_object"][:3, 3] = stage.scene.world_from_object.translation
+    write_truth(folder / "truth.npz", maps)
+    head = {
+        "preset": options.preset, "object": options.thing, "plan": options.plan,
+        "seed": options.seed + number, "steps": options.steps,
+        "camera_size": list(options.camera_size), "background": options.background,
+        "rays": options.n_rays,
+    }  # fmt: skip
+    (folder / "simulation.toml").write_text(settings_text(head, settings), encoding="utf-8")
+    draw_scene(folder / "overview.png", stage, plan, title=_title(options))
+
+
+def truth_maps(truths: Sequence[Truth], plan: PatternPlan) -> dict[str, NDArray[Any]]:
+    """Return the true maps by name: those of C1 plain, of others with the suffix ``_c2``, ..."""
+    maps: dict[str, NDArray[Any]] = {}
+    for number, truth in enumerate(truths):
+        suffix = "" if number == 0 else f"_{truth.device_name}"
+        maps |= {
+            f"points_mm{suffix}": truth.points_mm,
+            f"normals{suffix}": truth.normals.astype(np.float32),
+            f"projector_xy{suffix}": truth.projector_xy,
+            f"in_volume{suffix}": truth.in_volume,
+            f"lit{suffix}": truth.lit,
+            f"is_object{suffix}": truth.is_object,
+        }
+        for name, pixels in truth.pixels.items():
+            maps[f"pixels_{name}{suffix}"] = pixels
+            maps[f"seen_by_{name}{suffix}"] = truth.seen_by[name]
+        if plan.fringe_sets:
+            maps[f"fringe_order{suffix}"] = _fringe_order(truth, plan)
+    return maps
+
+
+def _fringe_order(truth: Truth, plan: PatternPlan) -> NDArray[np.int32]:
+    """Return the order of the first fringes of the plan; -1 where a pixel sees nothing."""
+    fringes = plan.fringe_sets[0]
+    w = across(fringes.angle, truth.projector_xy[..., 0], truth.projector_xy[..., 1])
+    return np.nan_to_num(np.floor(w / fringes.period_px), nan=-1).astype(np.int32)
+
+
+def _title(options: SimulateOptions) -> str:
+    return f"{Path(options.thing).stem} on {options.preset}, plan {Path(options.plan).stem}"
+
+
+def parse_tilts(text: str, /) -> tuple[float, ...]:
+    """Return the tilts of ``--tilts``, degrees.
+
+    Examples
+    --------
+    >>> parse_tilts("0,30")
+    (0.0, 30.0)
+    """
+    try:
+        tilts = tuple(float(part) for part in text.split(","))
+    except ValueError:
+        tilts = (math.nan,)
+    if not all(abs(tilt) <= 90 for tilt in tilts):
+        raise MethodError(
+            f"--tilts: expected degrees from -90 to 90 with commas between, as 0,30, found '{text}'"
+        )
+    return tilts
