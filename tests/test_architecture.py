@@ -26,7 +26,7 @@ ALLOWED: dict[str, set[str]] = {
     "simulate": NOUNS | {"geometry", "patterns"},
     "io": NOUNS | {"patterns"},
     "pipeline": NOUNS | {"geometry", "decode", "correspond", "triangulate", "health"},
-    "report": NOUNS | {"patterns", "health", "io", "pipeline", "__init__"},
+    "report": NOUNS | {"patterns", "health", "io", "pipeline", "simulate", "__init__"},
     "cli": NOUNS | {"patterns", "io", "pipeline", "report", "simulate", "health", "__init__"},
 }
 

@@ -851,15 +851,15 @@ OPTIONS = [
     Case(
         "depth reversed",
         nothing,
-        r"--depth: expected MIN below MAX.*'400:300'",
+        r"--depth: expected .*MIN below MAX.*'400:300'",
         ("--depth", "400:300"),
     ),
-    Case("depth NaN", nothing, r"--depth: expected .* finite, found 'nan:3'", ("--depth", "nan:3")),
+    Case("depth NaN", nothing, r"--depth: expected .* finite.*'nan:3'", ("--depth", "nan:3")),
     Case("depth infinite", nothing, r"--depth: expected .* finite.*'1:inf'", ("--depth", "1:inf")),
     Case(
         "depth behind the camera",
         nothing,
-        r"--depth: .*expected depths in front of device 'c1'.*found -300\.0 to -200\.0 mm",
+        r"--depth: expected .*MAX above 0.*'-300:-200'",
         ("--depth=-300:-200",),
     ),
     Case(

@@ -172,7 +172,7 @@ def parse_depth(text: str, /) -> tuple[float, float]:
         low = high = math.nan
     if not (-math.inf < low < high < math.inf and high > 0):
         raise PlanError(
-            "--depth: expected MIN:MAX in mm, MIN below MAX and MAX above 0, as 600:800, "
+            "--depth: expected MIN:MAX in mm, finite, MIN below MAX and MAX above 0, as 600:800, "
             f"found '{text}'. Correct it"
         )
     return low, high

@@ -74,13 +74,13 @@ class Caster:
         with the triangle's plane, or with the sphere that it stands for, in double precision.
         """
         origins = np.broadcast_to(origins, directions.shape)
-        usable = np.isfinite(directions).all(axis=1)
+        usable = np.asarray(np.isfinite(directions).all(axis=1))
         face = self._scene.run(
             origins.astype(np.float32),
             np.where(usable[:, None], directions, [0.0, 0.0, 1.0]).astype(np.float32),
         )
         face[~usable] = -1
-        hit: Bools = np.asarray(face >= 0, bool)
+        hit = np.asarray(face >= 0)
         points, normals = np.full((2, *directions.shape), np.nan)
         points[hit], normals[hit] = self._refine(origins[hit], directions[hit], face[hit])
         albedo = np.full(len(face), np.nan, np.float32)
