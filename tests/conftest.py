@@ -14,6 +14,8 @@ from fringe3d.patterns import sequence
 
 SEED = 20261122
 
+os.environ["FRINGE3D_CACHE"] = "off"  # tests leave nothing in the user's folders
+
 
 @pytest.fixture(scope="session")
 def rig() -> Rig:

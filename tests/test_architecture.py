@@ -24,7 +24,7 @@ ALLOWED: dict[str, set[str]] = {
     # Health judges the stages before it, so it may know their results and the geometry.
     "health": NOUNS | {"geometry", "decode", "patterns"},
     "simulate": NOUNS | {"geometry", "patterns"},
-    "io": NOUNS | {"patterns"},
+    "io": NOUNS | {"patterns", "__init__"},
     "pipeline": NOUNS | {"geometry", "decode", "correspond", "triangulate", "health"},
     "report": NOUNS | {"patterns", "health", "io", "pipeline", "simulate", "__init__"},
     "cli": NOUNS | {"patterns", "io", "pipeline", "report", "simulate", "health", "__init__"},

@@ -389,7 +389,7 @@ def test_names_of_matrices_are_asked_where_they_are_unknown(
     assert "expected one of the known sets of matrices" in error
     assert "expected a matrix 'K_lost', found none" in error
     assert "--projector-size: expected WIDTHxHEIGHT in pixels, as 1024x768, found ''" in error
-    assert "--depth: expected MIN:MAX in mm, MIN below MAX and MAX above 0" in error
+    assert "--depth: expected MIN:MAX in mm, finite, MIN below MAX and MAX above 0" in error
     written = read_rig(small / "rig.toml")
     assert written.projector is not None
     assert written.projector.shape == (768, 1024)

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fringe3d.cli.console import Reporter
+from fringe3d.cli.stage_cache import prepare_cached
 from fringe3d.errors import MethodError
 from fringe3d.io.atomic import new_folder
 from fringe3d.io.scanfile import read_plan
@@ -32,7 +33,6 @@ from fringe3d.simulate import (
     Surface,
     Truth,
     from_file,
-    prepare,
     record,
     turntable,
 )
@@ -84,7 +84,7 @@ def run_simulation(options: SimulateOptions, reporter: Reporter, /) -> str:
                                 tilts_deg=options.tilts_deg))  # fmt: skip
         with new_folder(options.out, overwrite=options.overwrite) as folder:
             for number, turned in enumerate(scenes):
-                stage = prepare(preset.rig, turned, setup, progress=reporter.step)
+                stage = prepare_cached(preset.rig, turned, setup, progress=reporter.step)
                 place = folder if len(scenes) == 1 else folder / f"{number:03d}"
                 _write(place, stage, plan, options, settings, number, reporter)
             if len(scenes) > 1:
