@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from fringe3d.correspond import (
     depths_of_orders,
     fringe_crossing,
+    guard_px,
     match_cameras,
     match_projector,
     resolve_orders,
@@ -42,6 +43,7 @@ from fringe3d.model import (
     PhaseMap,
     PointCloud,
     PointMap,
+    Rejection,
     Rig,
     Scan,
 )
@@ -64,6 +66,8 @@ MIN_CROSSING_SINE = 0.05
 """3 degrees between fringes and epipolar lines; sigma is twenty times that of a square crossing."""
 
 MIN_PATCH_PIXELS, STRICT_PATCH_PIXELS = 30, 200
+
+SAMPLE_STEP_PX = 8
 
 SPARSE_REACH_PX = 3
 """Gray code alone leaves out the pixels on the edges of its cells."""
@@ -370,12 +374,17 @@ def _match(
         return match_projector(maps, camera, other, volume)
     main1 = phases[0].directions[0].main
     main2 = phases[1].directions[0].like(main1)
-    if main1.is_absolute:
-        return match_cameras(main1, main2, camera, other, volume)
-    if projector is not None and volume is not None:
+    if projector is not None and (
+        volume is not None
+        if not main1.is_absolute
+        else _projector_agrees(main1, main2, camera, other, projector, volume)
+    ):
         # The projector tells which order of the class can be, and where on the segment it lies.
         resolved = resolve_orders(main1, camera, projector, volume)
-        depths = depths_of_orders(resolved, camera, projector)
+        # Without any code C2 knows no orders: only its point at the predicted depth counts (M5).
+        has_code = len(np.unique(main1.class_of_order)) > 1
+        half = np.full_like(main1.phase, main1.period_px / 2) if has_code else guard_px(main1)
+        depths = depths_of_orders(resolved, camera, projector, half)
         main1 = main1.rejecting(resolved.rejection)
         matches = match_cameras(main1, main2, camera, other, volume, depths_mm=depths)
         order = np.where(matches.rejection == 0, resolved.order_class, NO_ORDER)
@@ -388,6 +397,22 @@ def _match(
             "cyclic one"
         )
     return match_cameras(main1, main2, camera, other, volume)
+
+
+def _projector_agrees(
+    main1: PhaseMap,
+    main2: PhaseMap,
+    camera: Device,
+    other: Device,
+    projector: Device,
+    volume: MeasuringVolume | None,
+) -> bool:
+    """Tell from a few pixels whether the projector's calibration belongs to the cameras'."""
+    left_out = np.full(main1.rejection.shape, np.uint16(Rejection.NO_MATCH))
+    left_out[::SAMPLE_STEP_PX, ::SAMPLE_STEP_PX] = 0
+    matches = match_cameras(main1.rejecting(left_out), main2, camera, other, volume)
+    points = triangulate(matches, camera, other, volume=volume)
+    return all(f.level != "error" for f in check_trinocular(points, main1, projector))
 
 
 def _epipolar_limit(matches: Correspondences) -> float | None:

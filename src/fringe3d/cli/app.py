@@ -6,7 +6,8 @@ import math
 import shlex
 import sys
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -36,6 +37,24 @@ def _at_least(low: float) -> Callable[[type, Any], None]:
                 raise ValueError(f"Expected a number of at least {low:g}.")
 
     return check
+
+
+SIMULATOR_PACKAGES = ("embreex", "manifold3d", "skimage", "trimesh")
+
+
+@contextmanager
+def _simulator_installed(command: str) -> Iterator[None]:
+    """Say what to install if the block finds a package of the simulator missing."""
+    try:
+        yield
+    except ModuleNotFoundError as problem:
+        missing = (problem.name or "").partition(".")[0]
+        if missing not in SIMULATOR_PACKAGES:
+            raise
+        raise MethodError(
+            f"{command}: expected the packages of the simulator, found no '{missing}'. Install "
+            "them: pip install 'fringe3d[simulate]'"
+        ) from None
 
 
 @app.command
@@ -334,8 +353,10 @@ def simulate(
         TOML file with [surface], [camera], [projector] and [recording]: noise, gamma, blur,
         black level, vibration, motion, dropped images ... as in the simulation.toml of any scan.
     """
-    from fringe3d.cli.simulator import SimulateOptions, parse_tilts, run_simulation
     from fringe3d.io.importing import parse_size
+
+    with _simulator_installed("simulate"):
+        from fringe3d.cli.simulator import SimulateOptions, parse_tilts, run_simulation
 
     options = SimulateOptions(
         preset=preset,
@@ -369,7 +390,8 @@ def demo(*, out: Path = Path("demo"), overwrite: Overwrite = False) -> None:
     out
         Folder for scan and result.
     """
-    from fringe3d.cli.demo import run_demo
+    with _simulator_installed("demo"):
+        from fringe3d.cli.demo import run_demo
 
     with Reporter(quiet=False).running() as reporter:
         text = run_demo(out, overwrite=overwrite, reporter=reporter)

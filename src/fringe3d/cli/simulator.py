@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import difflib
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,12 +14,12 @@ from numpy.typing import NDArray
 
 from fringe3d.cli.console import Reporter
 from fringe3d.cli.stage_cache import prepare_cached
-from fringe3d.errors import MethodError
-from fringe3d.io.atomic import new_folder
+from fringe3d.errors import Fringe3DError, MethodError, PlanError
+from fringe3d.io.atomic import new_folder, require_writable
 from fringe3d.io.scanfile import read_plan
 from fringe3d.io.scanfolder import write_scan
 from fringe3d.io.simulation import read_settings, settings_text, write_truth
-from fringe3d.model import PatternPlan
+from fringe3d.model import NO_ORDER, PatternPlan
 from fringe3d.patterns import across, method_plan
 from fringe3d.report.simulation import draw_scene
 from fringe3d.simulate import (
@@ -45,6 +46,10 @@ KINDS = {
     "recording": Recording,
 }
 
+HEAD = ("preset", "object", "plan", "seed", "steps", "period_px", "camera_size", "background",
+        "rays")  # fmt: skip
+"""Keys of a ``simulation.toml`` that repeat the command line; as settings they are not read."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SimulateOptions:
@@ -69,6 +74,7 @@ class SimulateOptions:
 def run_simulation(options: SimulateOptions, reporter: Reporter, /) -> str:
     """Render, write the scan (or a series of scans) and its truth; return what to print."""
     preset = _preset(options)
+    require_writable(options.out, overwrite=options.overwrite, inputs=_inputs(options))
     settings = _settings(options)
     try:
         plan = _plan(options, preset)
@@ -89,6 +95,8 @@ def run_simulation(options: SimulateOptions, reporter: Reporter, /) -> str:
                 _write(place, stage, plan, options, settings, number, reporter)
             if len(scenes) > 1:
                 draw_scene(folder / "overview.png", stage, plan, title=_title(options))
+    except Fringe3DError:
+        raise
     except ValueError as problem:
         raise MethodError(f"{problem}. See fringe3d simulate --help") from None
     scans = "a scan" if len(scenes) == 1 else f"{len(scenes)} scans"
@@ -101,14 +109,29 @@ def run_simulation(options: SimulateOptions, reporter: Reporter, /) -> str:
 
 def _preset(options: SimulateOptions) -> Preset:
     if options.preset not in PRESETS:
-        raise MethodError(f"preset: expected one of {', '.join(PRESETS)}, found '{options.preset}'")
+        raise MethodError(
+            f"preset: expected one of {', '.join(PRESETS)}, found '{options.preset}'. "
+            f"{_hint(options.preset, PRESETS)}"
+        )
     return PRESETS[options.preset](options.camera_size)
+
+
+def _hint(typed: str, known: Iterable[str]) -> str:
+    close = difflib.get_close_matches(typed, list(known), n=1)
+    return f"Did you mean '{close[0]}'?" if close else "Choose one of them"
+
+
+def _inputs(options: SimulateOptions) -> tuple[Path | None, ...]:
+    """Return the files that go in, which the output must not replace."""
+    thing = None if options.thing in OBJECTS else Path(options.thing)
+    plan = Path(options.plan) if options.plan.endswith(".toml") else None
+    return thing, plan, options.settings
 
 
 def _settings(options: SimulateOptions) -> dict[str, Any]:
     if options.settings is None:
         return {name: kind() for name, kind in KINDS.items()}
-    return read_settings(options.settings, KINDS)
+    return read_settings(options.settings, KINDS, ignored=HEAD)
 
 
 def _plan(options: SimulateOptions, preset: Preset) -> PatternPlan:
@@ -117,9 +140,10 @@ def _plan(options: SimulateOptions, preset: Preset) -> PatternPlan:
     if options.plan.endswith(".toml"):
         plan = read_plan(Path(options.plan))
         if plan.projector_shape not in (None, shape):
-            raise ValueError(
+            rows, cols = plan.projector_shape or (0, 0)
+            raise PlanError(
                 f"{options.plan}: expected a plan for {shape[1]} x {shape[0]} projector pixels, "
-                f"found {plan.projector_shape}"
+                f"found one for {cols} x {rows}. Make it for the projector of '{options.preset}'"
             )
         return PatternPlan(patterns=plan.patterns, projector_shape=shape)
     return method_plan(
@@ -136,9 +160,10 @@ def _thing(options: SimulateOptions) -> Any:
         return OBJECTS[options.thing]()
     path = Path(options.thing)
     if path.suffix.lower() not in MESH_SUFFIXES:
-        raise ValueError(
+        raise MethodError(
             f"--object: expected one of {', '.join(OBJECTS)}, or a mesh file "
-            f"({', '.join(MESH_SUFFIXES)}), found '{options.thing}'"
+            f"({', '.join(MESH_SUFFIXES)}), found '{options.thing}'. "
+            f"{_hint(options.thing, OBJECTS)}"
         )
     return from_file(path)
 
@@ -155,7 +180,8 @@ def _write(
     scan = record(stage, plan, seed=options.seed + number, title=_title(options),
                   progress=reporter.step)  # fmt: skip
     write_scan(folder, scan)
-    for place in range(plan.n_images - len(stage.setup.recording.dropped), plan.n_images):
+    n_dropped = len(set(stage.setup.recording.dropped))
+    for place in range(plan.n_images - n_dropped, plan.n_images):
         for stack in scan.stacks:  # what was dropped is missing at the end
             (folder / stack.device_name / f"{place:03d}.png").unlink()
     maps = truth_maps(stage.truths, plan)
@@ -169,6 +195,8 @@ def _write(
         "camera_size": list(options.camera_size), "background": options.background,
         "rays": options.n_rays,
     }  # fmt: skip
+    if options.period_px is not None:
+        head["period_px"] = options.period_px
     (folder / "simulation.toml").write_text(settings_text(head, settings), encoding="utf-8")
     draw_scene(folder / "overview.png", stage, plan, title=_title(options))
 
@@ -195,10 +223,10 @@ def truth_maps(truths: Sequence[Truth], plan: PatternPlan) -> dict[str, NDArray[
 
 
 def _fringe_order(truth: Truth, plan: PatternPlan) -> NDArray[np.int32]:
-    """Return the order of the first fringes of the plan; -1 where a pixel sees nothing."""
+    """Return the order of the first fringes of the plan; `NO_ORDER` where nothing is seen."""
     fringes = plan.fringe_sets[0]
     w = across(fringes.angle, truth.projector_xy[..., 0], truth.projector_xy[..., 1])
-    return np.nan_to_num(np.floor(w / fringes.period_px), nan=-1).astype(np.int32)
+    return np.nan_to_num(np.floor(w / fringes.period_px), nan=NO_ORDER).astype(np.int32)
 
 
 def _title(options: SimulateOptions) -> str:

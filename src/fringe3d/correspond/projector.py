@@ -94,7 +94,7 @@ def resolve_orders(
     valid = phases.rejection == 0
     lowest, highest = _order_range(phases, valid, camera, projector, volume)
     turns = phases.phase[valid] / TWO_PI
-    guard = GUARD_SIGMA * phases.phase_std[valid] / TWO_PI + GUARD_PX / phases.period_px
+    guard = guard_px(phases)[valid] / phases.period_px
     count = np.zeros(len(turns), np.int32)
     chosen = np.full(len(turns), NO_ORDER, np.int32)
     wanted = phases.order_class[valid]
@@ -116,27 +116,34 @@ def resolve_orders(
     return resolved.rejecting(rejection)
 
 
+def guard_px(phases: PhaseMap, /) -> NDArray[np.float64]:
+    """Return how far noise and calibration may shift a phase in the projector, (row, col), px."""
+    sigma_px = phases.phase_std.astype(np.float64) * (phases.period_px / TWO_PI)
+    return GUARD_SIGMA * sigma_px + GUARD_PX
+
+
 def depths_of_orders(
-    phases: PhaseMap, camera: Device, projector: Device, /
+    phases: PhaseMap, camera: Device, projector: Device, half_px: NDArray[np.float64], /
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return where the viewing rays cross the period around their phase.
+    """Return where the viewing rays cross the light around their phase.
 
     Parameters
     ----------
     phases : PhaseMap of the camera, absolute
     camera, projector : Device
+    half_px : (row, col) float, projector px; see `guard_px`
 
     Returns
     -------
     near, far : (row, col) float64, mm
-        Distances along the rays, half a period before and behind the phase; NaN where the pixel
-        is rejected or the sheets are not met.
+        Distances along the rays, `half_px` before and behind the phase; NaN where the pixel is
+        rejected or the sheets are not met.
     """
     valid = phases.rejection == 0
     origin, directions = rays(camera, pixel_grid(valid.shape)[valid])
     ends = []
-    for half in (-0.5, 0.5):
-        position = phases.position_px[valid] + half * phases.period_px
+    for half in (-half_px, half_px):
+        position = (phases.position_px + half)[valid]
         depth = np.full(valid.shape, np.nan)
         depth[valid] = sheet_crossing(projector, origin, directions, position, phases.angle)
         ends.append(depth)

@@ -70,7 +70,8 @@ def match_cameras(
     bounds = seen if volume is None else volume.intersection(seen)
     near, far = depth_interval(origin, directions, bounds)
     if depths_mm is not None:
-        near, far = np.fmax(near, depths_mm[0][valid]), np.fmin(far, depths_mm[1][valid])
+        lower, upper = (ends[valid] for ends in depths_mm)
+        near, far = np.fmax(near, lower), np.fmin(far, upper)
     found = np.empty((len(near), 3))
     state = np.empty(len(near), np.int8)
     to_c2 = camera2.device_from_world
@@ -80,6 +81,8 @@ def match_cameras(
     _search.search(phase1, order1, base, along, near, far, *maps2, found, state)
     if volume is not None:
         enter, leave = depth_interval(origin, directions, volume)
+        if depths_mm is not None:
+            enter, leave = np.fmax(enter, lower), np.fmin(leave, upper)
         state[~(enter < leave)] = OUTSIDE_VOLUME
         if phases1.is_absolute:
             # The table under the object has its true point outside the volume: say so.

@@ -114,7 +114,10 @@ def check_yield(points: PointMap, /) -> list[Finding]:
     if lost <= LOST_WARNING:
         return [Finding("ok", "lost_part", lost, text)]
     if lost <= LOST_SEVERE:
-        cause = "check calibration, measuring volume and plan"
+        cause = (
+            "check calibration, measuring volume and plan (a table or wall outside the volume "
+            "does this, too, where the code is reduced)"
+        )
     return [Finding("warning", "lost_part", lost, f"{text}; {cause}")]
 
 

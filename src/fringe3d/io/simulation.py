@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -15,13 +16,16 @@ from fringe3d.errors import PlanError
 from fringe3d.io.toml import StrictModel, read_toml
 
 
-def read_settings(path: Path, kinds: dict[str, type], /) -> dict[str, Any]:
+def read_settings(
+    path: Path, kinds: dict[str, type], /, *, ignored: Iterable[str] = ()
+) -> dict[str, Any]:
     """Read tables of settings, each checked against the fields of a dataclass.
 
     Parameters
     ----------
     path : TOML file
     kinds : dict of table name to dataclass
+    ignored : keys beside the tables that may be there
 
     Returns
     -------
@@ -33,7 +37,8 @@ def read_settings(path: Path, kinds: dict[str, type], /) -> dict[str, Any]:
         If a table or key is unknown, or a value outside its domain.
     """
     tables = {name: (_schema(name, kind), _schema(name, kind)()) for name, kind in kinds.items()}
-    schema: type[StrictModel] = create_model("Settings", __base__=StrictModel, **tables)  # type: ignore[call-overload]
+    rest = dict.fromkeys(ignored, (Any, None))
+    schema: type[StrictModel] = create_model("Settings", __base__=StrictModel, **tables, **rest)  # type: ignore[call-overload]
     read = read_toml(path, schema, PlanError)
     try:
         return {name: kind(**getattr(read, name).model_dump()) for name, kind in kinds.items()}

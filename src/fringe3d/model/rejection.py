@@ -41,7 +41,7 @@ _MEANINGS = {
     Rejection.INCONSISTENT_CODE: "Gray code or periods contradict each other or the phase",
     Rejection.OUTSIDE_PROJECTOR: "the decoded position lies outside the projector image",
     Rejection.OUTSIDE_VIEW: "the viewing ray does not reach the second camera's view",
-    Rejection.NO_MATCH: "no point with this phase on the epipolar segment",
+    Rejection.NO_MATCH: "no point with this phase on the segment: hidden, or outside the volume",
     Rejection.AMBIGUOUS: "several points on the epipolar segment fit",
     Rejection.RAYS_MISS: "the two rays pass each other too far apart",
     Rejection.BEHIND_DEVICE: "the rays meet behind a device, or not at all",

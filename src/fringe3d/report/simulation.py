@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,11 @@ WHITE = PatternPlan(patterns=(Uniform(level=1.0),))
 def draw_scene(path: Path, stage: Stage, plan: PatternPlan, /, *, title: str) -> None:
     """Draw what each camera sees, with white light and with the first pattern, and the depth."""
     n_cameras = len(stage.rig.cameras)
+    # Two single images: nothing is dropped from them, and nothing moves in between.
+    recording = replace(
+        stage.setup.recording, dropped=(), repeated=(), velocity_mm_s=(0.0, 0.0, 0.0), spin_deg_s=0
+    )
+    stage = replace(stage, setup=replace(stage.setup, recording=recording))
     figure = Figure(figsize=(12.5, 3.4 * n_cameras + 0.4), dpi=100, layout="constrained")
     axes = figure.subplots(n_cameras, 3, squeeze=False)
     white = record(stage, WHITE, seed=0)

@@ -144,9 +144,9 @@ def record(
         for number, camera in enumerate(stage.rig.cameras)
     ]
     black, levels = None, (np.empty((0, 0, 0), np.float32), 0.0, 1.0)
-    for place, index in enumerate(shown):
-        now = _moved(stage, index, plan.n_images)
-        if plan.patterns[index] is not black:
+    for place, (moment, index) in enumerate(shown):
+        now = _moved(stage, moment, plan.n_images)
+        if plan.patterns[index] is not black or now is not stage:
             black = plan.patterns[index]
             levels = _projected(black, now)
         for number, camera in enumerate(now.rig.cameras):
@@ -189,8 +189,8 @@ def reference_point(rig: Rig, /) -> NDArray[np.float64]:
     return np.asarray(np.linalg.solve(normals, moment), np.float64)
 
 
-def _shown(n_images: int, recording: Recording) -> list[int]:
-    """Return which pattern each recorded image shows."""
+def _shown(n_images: int, recording: Recording) -> list[tuple[int, int]]:
+    """Return for each recorded image its place in the sequence, and which pattern it shows."""
     for key in ("dropped", "repeated"):
         wrong = [i for i in getattr(recording, key) if not 0 <= i < n_images]
         if wrong:
@@ -201,15 +201,15 @@ def _shown(n_images: int, recording: Recording) -> list[int]:
     shown = list(range(n_images))
     for place in sorted(recording.repeated):
         shown[place] = shown[max(place - 1, 0)]
-    return [index for place, index in enumerate(shown) if place not in recording.dropped]
+    return [both for both in enumerate(shown) if both[0] not in recording.dropped]
 
 
-def _moved(stage: Stage, index: int, n_images: int) -> Stage:
+def _moved(stage: Stage, place: int, n_images: int) -> Stage:
     """Return the stage at the time of an image; the truth holds in the middle of the sequence."""
     recording = stage.setup.recording
     if not recording.moves:
         return stage
-    seconds = (index - (n_images - 1) / 2) * recording.frame_ms / 1000
+    seconds = (place - (n_images - 1) / 2) * recording.frame_ms / 1000
     turn = Rotation.from_euler("z", recording.spin_deg_s * seconds, degrees=True)
     motion = RigidTransform(
         rotation=turn.as_matrix(), translation=np.asarray(recording.velocity_mm_s) * seconds
@@ -259,7 +259,7 @@ def _light(
     images, first, step = levels
     collect(images, first, step, path.u, path.v, path.blur, path.direct, shift[0], shift[1], light)
     if extra is not None:
-        light += extra.light(levels, shift) * path.albedo
+        light += extra.light(levels, shift) * path.ambient
     return np.asarray(light * np.float32(lamp) + path.ambient * stage.setup.recording.ambient,
                       np.float32)  # fmt: skip
 

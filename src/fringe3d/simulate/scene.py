@@ -50,7 +50,7 @@ class Scene:
         return np.asarray((hits.face >= 0) & (hits.face < len(self.thing.faces)))
 
     def reflectance(self, hits: Hits, /) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return the albedo and the strength of gloss at hits, each (n,)."""
+        """Return the albedo (0 in empty space) and the strength of gloss at hits, each (n,)."""
         on_thing = self.is_thing(hits)
         own = self.world_from_object.inverse().apply(hits.points_mm)
         albedo = np.where(
@@ -59,7 +59,7 @@ class Scene:
             _albedo(self.background, hits.points_mm, hits.albedo),
         )
         gloss = np.where(on_thing, self.surface.gloss, self.background.gloss)
-        return np.nan_to_num(albedo), gloss
+        return np.where(hits.is_hit, albedo, 0.0), gloss
 
 
 def _albedo(

@@ -72,10 +72,11 @@ def from_file(path: Path, /) -> Mesh:
     ValueError
         If the file holds no triangles, or cannot be read.
     """
+    if not path.is_file():
+        found = "a folder" if path.is_dir() else "none"
+        raise ValueError(f"{path}: expected a mesh file, found {found}. Check the path")
     try:
         loaded = trimesh.load_mesh(path, file_type=path.suffix.lower().lstrip("."))
-    except FileNotFoundError:
-        raise ValueError(f"{path}: expected a mesh file, found none. Check the path") from None
     except Exception as problem:  # noqa: BLE001  (trimesh raises many kinds)
         raise ValueError(f"{path}: expected STL, PLY or OBJ, cannot read it: {problem}") from None
     if not isinstance(loaded, trimesh.Trimesh) or not len(loaded.faces):
