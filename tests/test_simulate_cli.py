@@ -505,6 +505,8 @@ def test_mistakes_get_one_clear_line(
         ("[camera]\nexposure = 0", "camera: exposure: expected a positive number, found 0"),
         ("[camera]\nblack_level_dn = 255", "camera: black_level_dn: expected 0 to 255"),
         ("[projector]\ngamma = -1", "projector: gamma: expected a positive number, found -1"),
+        ("[projector]\ndark = 2", "projector: dark: expected 0 to 1, found 2"),
+        ("[surface]\ngloss_exponent = -9", "gloss_exponent: expected a positive number, found -9"),
         ("[surface]\ntexture = 'wood'", "surface: texture: expected one of .*, found wood"),
         ("[surface]\nalbedo = 1.2", "surface: albedo: expected a number in (0, 1], found 1.2"),
         ("[recording]\nvelocity_mm_s = [1, 2]", "recording.velocity_mm_s: expected at least 3 ent"),

@@ -42,6 +42,8 @@ class Surface:
         _require(self.texture_mm > 0, "surface: texture_mm", "a positive length", self.texture_mm)
         _require(0 <= self.contrast <= 1, "surface: contrast", "0 to 1", self.contrast)
         _require(self.gloss >= 0, "surface: gloss", "a number >= 0", self.gloss)
+        _require(self.gloss_exponent > 0, "surface: gloss_exponent", "a positive number",
+                 self.gloss_exponent)  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -71,6 +73,7 @@ class ProjectorOptics:
 
     def __post_init__(self) -> None:
         _require(self.gamma > 0, "projector: gamma", "a positive number", self.gamma)
+        _require(self.dark <= 1, "projector: dark", "0 to 1", self.dark)
         for key in ("dark", "blur_px", "aperture_mm", "focus_mm", "vignetting", "flicker",
                     "vibration_px"):  # fmt: skip
             value = getattr(self, key)

@@ -1,0 +1,132 @@
+"""Measurements of simulated scans against their truth."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from fringe3d.errors import MethodError
+from fringe3d.model import ImageStack, PatternPlan, Scan
+from fringe3d.patterns import method_plan, sequence
+from fringe3d.pipeline import Measurement, MeasureOptions, measure
+
+pytest.importorskip("embreex")
+
+from fringe3d.simulate import OBJECTS, PRESETS, Stage, prepare, record
+
+SIZE = (640, 512)
+WRONG_MM = 0.5
+"""Noise moves points by 0.01 to 0.02 mm; only a wrong match moves one that far."""
+
+
+def stage_of(preset: str, thing: str) -> Stage:
+    made = PRESETS[preset](SIZE)
+    return prepare(made.rig, made.scene(OBJECTS[thing]()))
+
+
+@pytest.fixture(scope="module")
+def bodies() -> Stage:
+    return stage_of("kolibri", "two-bodies")
+
+
+def plan_of(stage: Stage, method: str) -> PatternPlan:
+    assert stage.rig.projector is not None
+    return method_plan(method, stage.rig.projector.shape, period_px=16.0, n_shifts=4)
+
+
+def judged(stage: Stage, result: Measurement) -> tuple[float, float]:
+    """Return the part of the reference pixels that have a point, and of points that are wrong."""
+    assert result.points is not None
+    truth = stage.truths[0]
+    reference = truth.lit & truth.in_volume & truth.seen_by["c2"]
+    error = np.linalg.norm(result.points.points_mm - truth.points_mm, axis=-1)
+    good = result.points.is_valid
+    return (
+        float((good & reference).sum() / reference.sum()),
+        float((error[good] > WRONG_MM).mean()),
+    )
+
+
+def test_a_depth_jump_of_several_periods_is_measured_with_a_full_and_a_reduced_code(
+    bodies: Stage,
+) -> None:
+    """The table below the volume takes one bit more than the volume itself."""
+    scan = record(bodies, plan_of(bodies, "m1"), seed=1)
+    for gray_bits in (None, 4):
+        found, wrong = judged(bodies, measure(scan, MeasureOptions(gray_bits=gray_bits)))
+        assert found > 0.97
+        assert wrong < 0.001
+
+
+def test_the_projector_keeps_hidden_surfaces_out_of_two_cameras(bodies: Stage) -> None:
+    """Without it C2's edge pixels, which mix two phases, pass for points that C2 does not see."""
+    scan = record(bodies, plan_of(bodies, "m1"), seed=1)
+    alone = replace(scan, rig=replace(bodies.rig, projector=None))
+    found, wrong = judged(bodies, measure(scan))
+    found_alone, wrong_alone = judged(bodies, measure(alone))
+    assert wrong < 0.3 * wrong_alone
+    assert found > found_alone - 0.001
+
+
+def test_four_images_without_a_code_are_enough_where_the_segment_is_shorter_than_a_period() -> None:
+    """M5. False points: surfaces outside the volume, as the table and the foot of the bust."""
+    stage = stage_of("kolibri-m5", "bust")
+    scan = record(stage, plan_of(stage, "m5"), seed=1)
+    assert scan.stacks[0].plan.n_images == 4
+    found, wrong = judged(stage, measure(scan))
+    assert found > 0.9
+    assert wrong < 0.07
+    without_table = PRESETS["kolibri-m5"](SIZE)
+    free = prepare(without_table.rig, without_table.scene(OBJECTS["bust"](), background="none"))
+    found, wrong = judged(free, measure(record(free, plan_of(free, "m5"), seed=1)))
+    assert found > 0.9
+    assert wrong < 0.05
+
+
+def test_points_of_the_table_are_said_to_be_outside_the_volume(bodies: Stage) -> None:
+    result = measure(record(bodies, plan_of(bodies, "m1"), seed=1))
+    assert result.points is not None
+    truth = bodies.truths[0]
+    table = ~truth.is_object & truth.lit & truth.seen_by["c2"]
+    outside = (result.rejection & 512) != 0
+    assert outside[table].mean() > 0.98
+    assert not result.warnings
+
+
+def test_fringes_along_the_epipolar_lines_are_refused_between_two_cameras(bodies: Stage) -> None:
+    assert bodies.rig.projector is not None
+    # The kolibri's epipolar lines are not quite horizontal; these fringes follow them.
+    angle = np.radians(90.0)
+    plan = sequence(bodies.rig.projector.shape, periods_px=(16.0,), n_shifts=4, angles=(angle,))
+    parallel = PRESETS["face"](SIZE)
+    stage = prepare(parallel.rig, parallel.scene(OBJECTS["plane"]()))
+    with pytest.raises(MethodError, match="fringes run along the epipolar lines of 'c2'"):
+        measure(record(stage, plan, seed=1))
+
+
+def test_jpeg_images_are_told_to_hide_their_noise(bodies: Stage) -> None:
+    """And they do: sigma falls although the points do not get better."""
+    scan = record(bodies, plan_of(bodies, "m1"), seed=1)
+
+    def compressed(stack: ImageStack) -> ImageStack:
+        images = [
+            cv2.imdecode(cv2.imencode(".jpg", i, [cv2.IMWRITE_JPEG_QUALITY, 90])[1], 0)
+            for i in stack.images
+        ]
+        return replace(stack, images=np.stack(images), noise=None, is_lossy=True)
+
+    result = measure(Scan(stacks=tuple(compressed(s) for s in scan.stacks), rig=scan.rig))
+    assert [f.name for f in result.warnings] == ["lossy_cameras"]
+    plain = measure(scan)
+    assert plain.points is not None
+    assert result.points is not None
+    truth = bodies.truths[0].points_mm
+    errors, sigmas = [], []
+    for points in (plain.points, result.points):
+        errors.append(np.nanmedian(np.linalg.norm(points.points_mm - truth, axis=-1)))
+        sigmas.append(np.nanmedian(points.sigma_mm))
+    assert errors[1] > errors[0]
+    assert sigmas[1] < 0.7 * sigmas[0]
