@@ -56,8 +56,10 @@ N_THREADS = numba.get_num_threads()
 def threads(number: int) -> Iterator[None]:
     before = numba.get_num_threads()
     numba.set_num_threads(number)
-    yield
-    numba.set_num_threads(before)
+    try:
+        yield
+    finally:
+        numba.set_num_threads(before)
 
 
 @pytest.fixture(autouse=True)
@@ -926,17 +928,17 @@ def test_the_same_seed_gives_the_same_bytes() -> None:
 # --- 7: light by way of another surface ---------------------------------------------------------
 
 FLOOR, WALL = 0.7, 0.5  # albedo
-HALF_WIDTH, SIDE = 60.0, 70.0
+HALF_WIDTH = 60.0
 ABOVE = Pinhole(place=(190, 0, 230), focal=(600, 600), size=(96, 80), center=(48, 40))
 LAMP = Pinhole(place=(200, 30, 220), focal=(250, 250), size=(256, 200), center=(127.5, 99.5))
 
 
-def corner() -> Scene:
+def corner(side: float = 70.0) -> Scene:
     """Return a floor (z = 0) and a wall (x = 0) at right angles."""
     return Scene(
-        thing=quad([0, -HALF_WIDTH, 0], [SIDE, 0, 0], [0, 2 * HALF_WIDTH, 0]),
+        thing=quad([0, -HALF_WIDTH, 0], [side, 0, 0], [0, 2 * HALF_WIDTH, 0]),
         surface=Surface(albedo=FLOOR),
-        surroundings=quad([0, -HALF_WIDTH, 0], [0, 2 * HALF_WIDTH, 0], [0, 0, SIDE]),
+        surroundings=quad([0, -HALF_WIDTH, 0], [0, 2 * HALF_WIDTH, 0], [0, 0, side]),
         background=Surface(albedo=WALL, texture="none"),
     )
 
@@ -949,12 +951,12 @@ def seen_of_corner() -> tuple[Floats, NDArray[np.bool_]]:
     return np.where(on_floor[..., None], floor, wall), on_floor
 
 
-def from_the_other(points: Floats, on_floor: NDArray[np.bool_]) -> Floats:
+def from_the_other(points: Floats, on_floor: NDArray[np.bool_], side: float) -> Floats:
     """Return the irradiance that the other half of the corner sends to points (n, 3).
 
     The integral of ``albedo E cos cos / (pi r^2)`` by the midpoint rule on cells of 1 mm.
     """
-    up, along = np.mgrid[0.5:SIDE, 0.5 - HALF_WIDTH : HALF_WIDTH]
+    up, along = np.mgrid[0.5:side, 0.5 - HALF_WIDTH : HALF_WIDTH]
     up, along, zero = up.ravel(), along.ravel(), np.zeros(up.size)
     received = np.empty(len(points))
     for of_floor in (True, False):
@@ -980,15 +982,16 @@ def indirect(scene: Scene, *patterns: Pattern, vignetting: float = 0.0) -> Float
     return images(True) - images(False)
 
 
-def test_light_between_two_planes() -> None:
-    light = indirect(corner(), LIGHT)[0]
+@pytest.mark.parametrize("side", [70.0, 22.0])
+def test_light_between_two_planes(side: float) -> None:
+    light = indirect(corner(side), LIGHT)[0]
     points, on_floor = seen_of_corner()
     distance = np.hypot(points[..., 0], points[..., 2])
     # Nearer to the edge 1 mm cells of the quadrature and 4 mm of the coarse grid are too wide.
     chosen = np.zeros(light.shape, bool)
     chosen[::3, ::3] = True
-    chosen &= distance > 6
-    expected = from_the_other(points[chosen], on_floor[chosen])
+    chosen &= (distance > 6) & (distance < side - 4)
+    expected = from_the_other(points[chosen], on_floor[chosen], side)
     measured = light[chosen] / np.where(on_floor, FLOOR, WALL)[chosen]
     ratio = measured / expected
     assert expected.max() > 2 * expected.min()
@@ -1029,6 +1032,10 @@ def test_a_single_plane_sends_itself_nothing() -> None:
     away = replace(corner(), surroundings=quad([0, -60, 0], [0, 0, 70], [0, 120, 0]))
     on_floor = seen_of_corner()[1]
     assert (indirect(away, LIGHT)[0][on_floor] == 0).all()
+    # Nor a roof, lit from above, on what it covers.
+    roof = quad([-90, -60, 60], [80, 0, 0], [0, 120, 0])
+    covered = replace(corner(), surroundings=roof)
+    assert (indirect(covered, LIGHT)[0] == 0).all()
 
 
 # --- 8: edges -----------------------------------------------------------------------------------

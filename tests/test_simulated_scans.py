@@ -112,11 +112,9 @@ def test_jpeg_images_are_told_to_hide_their_noise(bodies: Stage) -> None:
     scan = record(bodies, plan_of(bodies, "m1"), seed=1)
 
     def compressed(stack: ImageStack) -> ImageStack:
-        images = [
-            cv2.imdecode(cv2.imencode(".jpg", i, [cv2.IMWRITE_JPEG_QUALITY, 90])[1], 0)
-            for i in stack.images
-        ]
-        return replace(stack, images=np.stack(images), noise=None, is_lossy=True)
+        files = (cv2.imencode(".jpg", i, [cv2.IMWRITE_JPEG_QUALITY, 90])[1] for i in stack.images)
+        images = np.stack([np.asarray(cv2.imdecode(file, 0), np.uint8) for file in files])
+        return replace(stack, images=images, noise=None, is_lossy=True)
 
     result = measure(Scan(stacks=tuple(compressed(s) for s in scan.stacks), rig=scan.rig))
     assert [f.name for f in result.warnings] == ["lossy_cameras"]

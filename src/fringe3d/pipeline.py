@@ -374,21 +374,8 @@ def _match(
         return match_projector(maps, camera, other, volume)
     main1 = phases[0].directions[0].main
     main2 = phases[1].directions[0].like(main1)
-    if projector is not None and (
-        volume is not None
-        if not main1.is_absolute
-        else _projector_agrees(main1, main2, camera, other, projector, volume)
-    ):
-        # The projector tells which order of the class can be, and where on the segment it lies.
-        resolved = resolve_orders(main1, camera, projector, volume)
-        # Without any code C2 knows no orders: only its point at the predicted depth counts (M5).
-        has_code = len(np.unique(main1.class_of_order)) > 1
-        half = np.full_like(main1.phase, main1.period_px / 2) if has_code else guard_px(main1)
-        depths = depths_of_orders(resolved, camera, projector, half)
-        main1 = main1.rejecting(resolved.rejection)
-        matches = match_cameras(main1, main2, camera, other, volume, depths_mm=depths)
-        order = np.where(matches.rejection == 0, resolved.order_class, NO_ORDER)
-        return replace(matches, fringe_order=order)
+    if projector is not None and _projector_helps(main1, main2, camera, other, projector, volume):
+        return _match_three(main1, main2, camera, other, projector, volume)
     if has_mirrored_neighbours(main1):
         raise MethodError(
             "--gray-bits: the finest images of a plain code repeat mirrored and do not tell all "
@@ -397,6 +384,41 @@ def _match(
             "cyclic one"
         )
     return match_cameras(main1, main2, camera, other, volume)
+
+
+def _match_three(
+    main1: PhaseMap,
+    main2: PhaseMap,
+    camera: Device,
+    other: Device,
+    projector: Device,
+    volume: MeasuringVolume | None,
+) -> Correspondences:
+    """Match two cameras where the projector tells which order can be, and at what depth."""
+    resolved = resolve_orders(main1, camera, projector, volume)
+    half_px = guard_px(main1)
+    if len(np.unique(main1.class_of_order)) > 1:
+        # With a code C2 knows the order, too: leave the projector room for errors.
+        half_px = np.full_like(half_px, main1.period_px / 2)
+    depths = depths_of_orders(resolved, camera, projector, half_px)
+    main1 = main1.rejecting(resolved.rejection)
+    matches = match_cameras(main1, main2, camera, other, volume, depths_mm=depths)
+    order = np.where(matches.rejection == 0, resolved.order_class, NO_ORDER)
+    return replace(matches, fringe_order=order)
+
+
+def _projector_helps(
+    main1: PhaseMap,
+    main2: PhaseMap,
+    camera: Device,
+    other: Device,
+    projector: Device,
+    volume: MeasuringVolume | None,
+) -> bool:
+    """Tell whether the projector may judge: a full code shows if it belongs to the cameras."""
+    if main1.is_absolute:
+        return _projector_agrees(main1, main2, camera, other, projector, volume)
+    return volume is not None
 
 
 def _projector_agrees(

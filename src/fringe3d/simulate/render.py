@@ -35,6 +35,8 @@ MAX_BLUR_STEP = 0.5
 fringes of 16 px by less than 0.03 %."""
 
 MAX_BLUR_LEVELS = 24
+"""They bound the memory; strong defocus over a deep scene is interpolated more coarsely (1 % of the
+modulation of fringes of 8 px over a range of 23 px**2)."""
 
 Progress = Callable[[str, int, int], None]
 
@@ -178,7 +180,10 @@ def _bounce(camera: Device, rig: Rig, scene: Scene, setup: Setup, truth: Truth) 
 
 
 def reference_point(rig: Rig, /) -> NDArray[np.float64]:
-    """Return where brightness and focus are set, (3,), mm: the point nearest to all axes."""
+    """Return where brightness and focus are set, (3,), mm: the point nearest to all axes.
+
+    Of parallel axes, the one of these points that is nearest to the world's origin.
+    """
     normals = np.zeros((3, 3))
     moment = np.zeros(3)
     for device in rig.devices:
@@ -186,7 +191,7 @@ def reference_point(rig: Rig, /) -> NDArray[np.float64]:
         across = np.eye(3) - np.outer(forward, forward)
         normals += across
         moment += across @ device.center_world
-    return np.asarray(np.linalg.solve(normals, moment), np.float64)
+    return np.asarray(np.linalg.lstsq(normals, moment)[0], np.float64)
 
 
 def _shown(n_images: int, recording: Recording) -> list[tuple[int, int]]:

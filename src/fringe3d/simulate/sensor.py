@@ -8,6 +8,9 @@ from numpy.typing import NDArray
 
 from fringe3d.simulate.optics import CameraOptics
 
+NARROW_VARIANCE = 0.5
+"""px**2; up to here three taps are all positive, and beyond a sampled Gaussian is right."""
+
 FEW_ELECTRONS = 50.0
 """Below, electrons are counted (Poisson); above, the normal distribution is the same to 2 %."""
 
@@ -33,11 +36,9 @@ def expose(
     Electrons: mean ``exposure * full_well * light``, variance mean + read_noise**2; grey values
     ``black + (top - black) (electrons / full_well)**gamma``, rounded and clipped.
     """
-    sharp = light
-    if optics.blur_px:
-        blurred = cv2.GaussianBlur(light, (0, 0), optics.blur_px, borderType=cv2.BORDER_REPLICATE)
-        sharp = np.asarray(blurred, np.float32)
-    mean = np.maximum(sharp * np.float32(optics.exposure * optics.full_well_e), 0)
+    mean = np.maximum(
+        _blurred(light, optics.blur_px) * np.float32(optics.exposure * optics.full_well_e), 0
+    )
     variance = mean + np.float32(optics.read_noise_e**2)
     electrons = mean + np.sqrt(variance) * rng.standard_normal(mean.shape, np.float32)
     few = mean < FEW_ELECTRONS
@@ -53,6 +54,20 @@ def expose(
     )
     dtype = np.uint8 if optics.bit_depth == 8 else np.uint16
     return np.asarray(np.clip(np.rint(grey), 0, optics.top_dn), dtype)
+
+
+def _blurred(light: NDArray[np.float32], sigma_px: float) -> NDArray[np.float32]:
+    """Return the image behind the lens.
+
+    A sampled Gaussian narrower than a pixel has too little variance; three taps have it exactly.
+    """
+    variance = sigma_px**2
+    if variance >= NARROW_VARIANCE:
+        wide = cv2.GaussianBlur(light, (0, 0), sigma_px, borderType=cv2.BORDER_REPLICATE)
+        return np.asarray(wide, np.float32)
+    taps = np.array([variance / 2, 1 - variance, variance / 2])
+    narrow = cv2.sepFilter2D(light, -1, taps, taps, borderType=cv2.BORDER_REPLICATE)
+    return np.asarray(narrow, np.float32)
 
 
 def hot_pixels(
