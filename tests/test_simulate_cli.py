@@ -13,6 +13,7 @@ import zipfile
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -164,9 +165,11 @@ def test_measure_works_on_it_and_finds_the_truth(scan: Path, tmp_path: Path) -> 
     reference = maps["lit"] & maps["in_volume"] & maps["seen_by_c2"]
     both = accepted & reference
     assert both.sum() > 0.9 * reference.sum()
-    # Six sigma of 25 um; mixed pixels at the rim are few.
-    close = np.linalg.norm(points - maps["points_mm"], axis=-1)[both] < 0.15
-    assert close.mean() > 0.98
+    # Six sigma of 34 um; in two pixels along the rim light of two surfaces mixes.
+    close = np.linalg.norm(points - maps["points_mm"], axis=-1) < 0.2
+    inner = cv2.erode(reference.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
+    assert close[both & inner].mean() > 0.999
+    assert close[both].mean() > 0.95
     assert (order == maps["fringe_order"])[both].mean() > 0.99
     # A hundredth of a pixel of noise; what is seen through the lens is the truth's pixel.
     assert np.median(np.abs(pixels - maps["pixels_c2"])[both]) < 0.05
@@ -383,6 +386,18 @@ def test_a_turntable_gives_a_scan_for_each_position_and_tilt(
 
 
 @pytest.mark.usefixtures("without_pictures")
+def test_scans_of_a_series_have_their_own_noise(tmp_path: Path) -> None:
+    """Scan n has the seed of the series plus n: the same tilt twice differs by noise alone."""
+    series = simulate(tmp_path / "series", *TINY, "--tilts", "0,0", "--plan", "m3", "--seed", "4")
+    first, second = contents(series / "000"), contents(series / "001")
+    assert first["truth.npz"] == second["truth.npz"]
+    for camera in ("c1", "c2"):
+        assert first[f"{camera}/000.png"] != second[f"{camera}/000.png"]
+    alone = contents(simulate(tmp_path / "alone", *TINY, "--plan", "m3", "--seed", "5"))
+    assert alone == second
+
+
+@pytest.mark.usefixtures("without_pictures")
 def test_one_camera_alone(tmp_path: Path) -> None:
     folder = simulate(tmp_path / "scan", *SMALL, preset="single")
     assert set(truth_of(folder)) == (C1_KEYS | {"world_from_object"}) - {"pixels_c2", "seen_by_c2"}
@@ -494,7 +509,8 @@ def test_mistakes_get_one_clear_line(
     line = refused(capsys, work, *arguments, *where)
     pattern = ".*".join(re.escape(part) for part in message.split(".*"))
     assert re.search(pattern, line), line
-    assert line.count("See") <= 1
+    if ".toml: " in line:  # a file is wrong, not the command line
+        assert "--help" not in line
 
 
 @pytest.mark.parametrize(

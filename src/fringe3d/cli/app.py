@@ -412,6 +412,9 @@ def main(arguments: list[str] | None = None) -> None:
     except OSError as problem:
         fail(f"{problem}. Check the path, its permissions and the space on the disk")
         sys.exit(2)
+    except MemoryError:
+        fail("expected images that fit into memory, found none free. Take smaller or fewer ones")
+        sys.exit(2)
     except KeyboardInterrupt:
         fail("interrupted; nothing was written")
         sys.exit(130)

@@ -203,6 +203,8 @@ def _shown(n_images: int, recording: Recording) -> list[tuple[int, int]]:
                 f"recording: {key}: expected places 0 to {n_images - 1} of the plan's images, "
                 f"found {wrong}"
             )
+    if len(set(recording.dropped)) == n_images:
+        raise ValueError("recording: dropped: expected at least one image to arrive, found none")
     shown = list(range(n_images))
     for place in sorted(recording.repeated):
         shown[place] = shown[max(place - 1, 0)]
