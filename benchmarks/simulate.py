@@ -28,9 +28,8 @@ def main() -> None:
     record(stage, plan, seed=1)
     print(f"| {plan.n_images} images (M0, 16 steps) | {time.perf_counter() - start:.1f} |\n")
 
-    print(
-        "| object | method | images | found | wrong | median error / sigma |\n|---|---|---|---|---|---|"
-    )
+    print("| object | method | images | found | wrong | median error / sigma |")
+    print("|---|---|---|---|---|---|")
     for name in OBJECTS_SHOWN:
         preset = PRESETS["kolibri"]((640, 512))
         stage = prepare(preset.rig, preset.scene(OBJECTS[name]()))

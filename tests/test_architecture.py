@@ -27,7 +27,8 @@ ALLOWED: dict[str, set[str]] = {
     "io": NOUNS | {"patterns", "__init__"},
     "pipeline": NOUNS | {"geometry", "decode", "correspond", "triangulate", "health"},
     "report": NOUNS | {"patterns", "health", "io", "pipeline", "simulate", "__init__"},
-    "cli": NOUNS | {"patterns", "io", "pipeline", "report", "simulate", "health", "__init__"},
+    "cli": NOUNS
+    | {"geometry", "patterns", "io", "pipeline", "report", "simulate", "health", "__init__"},
 }
 
 EDGE_LIBRARIES = {

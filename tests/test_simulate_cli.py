@@ -217,7 +217,7 @@ def test_another_seed_gives_other_noise_and_the_same_truth(scan: Path, tmp_path:
         # 64 periods of 16 px: 7 bits with half periods; 48 periods in y: 7 bits; light and dark.
         ("m0", 24, 8),
         ("m1", 13, 4),
-        ("m2", 9, 4),  # 2 bits and one
+        ("m2", 10, 4),  # 3 bits and one
         ("m3", 4, 4),
         ("m4", 8, 8),
         ("m5", 4, 4),
@@ -275,8 +275,8 @@ def test_settings_change_what_they_name_and_nothing_else(tmp_path: Path) -> None
     file.write_text("[camera]\nbit_depth = 12\nblack_level_dn = 60\nexposure = 0.2\n")
     folder = simulate(tmp_path / "scan", *TINY, "--settings", str(file))
     written = tomllib.loads((folder / "simulation.toml").read_text())
-    assert [*written] == ["preset", "object", "plan", "seed", "steps", "camera_size", "background",
-                          "rays", *KINDS]  # fmt: skip
+    assert [*written] == ["preset", "object", "plan", "seed", "position", "steps", "camera_size",
+                          "background", "rays", *KINDS]  # fmt: skip
     assert written["camera"]["bit_depth"] == 12
     assert written["camera"]["read_noise_e"] == 12.0
     assert written["surface"]["albedo"] == 0.8
@@ -366,7 +366,7 @@ def test_a_turntable_gives_a_scan_for_each_position_and_tilt(
         maps = truth_of(series / name)
         poses.append(maps["world_from_object"])
         record = tomllib.loads((series / name / "simulation.toml").read_text())
-        assert record["seed"] == number
+        assert (record["seed"], record["position"]) == (0, number)
         assert len(read_scan(series / name).stacks) == 2
         # The top of the disc, 4 mm high before it was scaled, in the object's own frame.
         own = (np.linalg.inv(poses[-1]) @ np.append(maps["points_mm"], np.ones((48, 64, 1)), -1)[
@@ -387,14 +387,16 @@ def test_a_turntable_gives_a_scan_for_each_position_and_tilt(
 
 @pytest.mark.usefixtures("without_pictures")
 def test_scans_of_a_series_have_their_own_noise(tmp_path: Path) -> None:
-    """Scan n has the seed of the series plus n: the same tilt twice differs by noise alone."""
+    """The same tilt twice differs by noise alone, and so do series of neighbouring seeds."""
     series = simulate(tmp_path / "series", *TINY, "--tilts", "0,0", "--plan", "m3", "--seed", "4")
     first, second = contents(series / "000"), contents(series / "001")
     assert first["truth.npz"] == second["truth.npz"]
     for camera in ("c1", "c2"):
         assert first[f"{camera}/000.png"] != second[f"{camera}/000.png"]
-    alone = contents(simulate(tmp_path / "alone", *TINY, "--plan", "m3", "--seed", "5"))
-    assert alone == second
+    alone = contents(simulate(tmp_path / "alone", *TINY, "--plan", "m3", "--seed", "4"))
+    assert alone == first
+    other = contents(simulate(tmp_path / "other", *TINY, "--plan", "m3", "--seed", "5"))
+    assert other["c1/000.png"] not in (first["c1/000.png"], second["c1/000.png"])
 
 
 @pytest.mark.usefixtures("without_pictures")

@@ -183,13 +183,18 @@ class Plane:
 def irradiance(
     points: Floats, normal: Floats, projector: Pinhole = PROJECTOR, *, vignetting: float = 0.0
 ) -> Floats:
-    """Return Lambert's cosine, the inverse square (1 at the origin) and the fall-off cos^4."""
+    """Return the light of a white pixel, 1 at the origin.
+
+    A screen across the axis at depth z gets (z0 / z)^2 and its part of the natural fall-off
+    cos^4; a surface that is not parallel to the screen gets it in the ratio of the cosines.
+    """
     away = np.array(projector.place) - points
     distance = np.linalg.norm(away, axis=-1)
-    reference = math.hypot(*projector.place)
+    depth = projector.depth(points)
+    on_screen = (math.hypot(*projector.place) / depth) ** 2
+    off_axis = depth / distance
     cosine = np.maximum(away @ normal, 0) / distance
-    border = (projector.depth(points) / distance) ** (4 * vignetting)
-    return np.asarray(cosine * (reference / distance) ** 2 * border)
+    return np.asarray(on_screen * off_axis ** (4 * vignetting) * cosine / off_axis)
 
 
 def pure_camera(optics: CameraOptics | None = None) -> CameraOptics:

@@ -18,6 +18,7 @@ from fringe3d.correspond import (
     match_cameras,
     match_projector,
     resolve_orders,
+    twin_share,
 )
 from fringe3d.decode import CameraPhases, decode, has_mirrored_neighbours
 from fringe3d.errors import CalibrationError, EmptyResultError, Fringe3DError, MethodError
@@ -29,6 +30,7 @@ from fringe3d.health import (
     check_phases,
     check_texture,
     check_trinocular,
+    check_twins,
     check_yield,
 )
 from fringe3d.model import (
@@ -68,6 +70,9 @@ MIN_CROSSING_SINE = 0.05
 MIN_PATCH_PIXELS, STRICT_PATCH_PIXELS = 30, 200
 
 SAMPLE_STEP_PX = 8
+
+MAX_TRINOCULAR_PX = 3.0
+"""A projector that is further off judges nothing; the search window is half a period."""
 
 SPARSE_REACH_PX = 3
 """Gray code alone leaves out the pixels on the edges of its cells."""
@@ -187,6 +192,9 @@ def measure(
     with clock("finding correspondences"):
         matches = _match(phases, camera, other, scan.rig.projector, volume)
         findings += _refuse(check_ambiguity(matches, main), MethodError)
+        if not main.is_absolute and scan.rig.projector is not None and volume is not None:
+            share = twin_share(main, camera, scan.rig.projector, volume)
+            findings += check_twins(share)
     with clock("triangulating"):
         points = triangulate(
             matches, camera, other, volume=volume, max_epipolar_px=_epipolar_limit(matches)
@@ -434,7 +442,8 @@ def _projector_agrees(
     left_out[::SAMPLE_STEP_PX, ::SAMPLE_STEP_PX] = 0
     matches = match_cameras(main1.rejecting(left_out), main2, camera, other, volume)
     points = triangulate(matches, camera, other, volume=volume)
-    return all(f.level != "error" for f in check_trinocular(points, main1, projector))
+    limit = min(MAX_TRINOCULAR_PX, main1.period_px / 4)
+    return all(f.value < limit for f in check_trinocular(points, main1, projector))
 
 
 def _epipolar_limit(matches: Correspondences) -> float | None:

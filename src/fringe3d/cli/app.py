@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import math
 import shlex
+import signal
 import sys
 import warnings
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -401,6 +402,8 @@ def demo(*, out: Path = Path("demo"), overwrite: Overwrite = False) -> None:
 def main(arguments: list[str] | None = None) -> None:
     """Run the command line; exit code 0 done, 2 for a mistake that the user can mend."""
     warnings.simplefilter("default", AccuracyWarning)
+    with suppress(ValueError):  # only the main thread may: a killed run tidies up, too
+        signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         app(arguments, exit_on_error=False, print_error=False, result_action="return_value")
     except CycloptsError as problem:

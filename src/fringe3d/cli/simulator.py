@@ -46,8 +46,8 @@ KINDS = {
     "recording": Recording,
 }
 
-HEAD = ("preset", "object", "plan", "seed", "steps", "period_px", "camera_size", "background",
-        "rays")  # fmt: skip
+HEAD = ("preset", "object", "plan", "seed", "position", "steps", "period_px", "camera_size",
+        "background", "rays")  # fmt: skip
 """Keys of a ``simulation.toml`` that repeat the command line; as settings they are not read."""
 
 
@@ -177,7 +177,7 @@ def _write(
     number: int,
     reporter: Reporter,
 ) -> None:
-    scan = record(stage, plan, seed=options.seed + number, title=_title(options),
+    scan = record(stage, plan, seed=options.seed, position=number, title=_title(options),
                   progress=reporter.step)  # fmt: skip
     write_scan(folder, scan)
     n_dropped = len(set(stage.setup.recording.dropped))
@@ -191,7 +191,7 @@ def _write(
     write_truth(folder / "truth.npz", maps)
     head = {
         "preset": options.preset, "object": options.thing, "plan": options.plan,
-        "seed": options.seed + number, "steps": options.steps,
+        "seed": options.seed, "position": number, "steps": options.steps,
         "camera_size": list(options.camera_size), "background": options.background,
         "rays": options.n_rays,
     }  # fmt: skip

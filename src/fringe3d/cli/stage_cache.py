@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
+from pathlib import Path
 from typing import Any
 
 from numpy.typing import NDArray
 
+from fringe3d import geometry, simulate
 from fringe3d.io.cache import cached, key_of
 from fringe3d.io.rigfile import rig_text
 from fringe3d.model import Rig
@@ -48,8 +50,15 @@ def _key(rig: Rig, scene: Scene, setup: Setup) -> str:
             pose.translation,
             repr((scene.surface, scene.background, lens, light, setup.n_rays)),
             repr(setup.recording.interreflection),
+            *_sources(),
         ]
     )
+
+
+def _sources() -> list[bytes]:
+    """Return the code that casts the rays: another code, another stage."""
+    folders = (Path(package.__file__ or "").parent for package in (simulate, geometry))
+    return [file.read_bytes() for folder in folders for file in sorted(folder.glob("*.py"))]
 
 
 def _flat(stage: Stage) -> Arrays:

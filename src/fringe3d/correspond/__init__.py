@@ -5,6 +5,7 @@ from fringe3d.correspond.projector import (
     guard_px,
     match_projector,
     resolve_orders,
+    twin_share,
 )
 from fringe3d.correspond.stereo import fringe_crossing, match_cameras
 
@@ -15,4 +16,5 @@ __all__ = [
     "match_cameras",
     "match_projector",
     "resolve_orders",
+    "twin_share",
 ]

@@ -33,6 +33,9 @@ TWO_PI = 2 * np.pi
 DEPTH_STEP = 1e-4
 """Part of the depth by which the ray is moved to find the direction of the epipolar curve."""
 
+OUTSIDE_PART = 0.4
+"""Part of the segment on each side of the volume where surfaces are expected, as the table."""
+
 GUARD_SIGMA = 3.0
 GUARD_PX = 0.5
 """Candidates are accepted this far beyond the ends of the segment (calibration error)."""
@@ -93,17 +96,7 @@ def resolve_orders(
         )
     valid = phases.rejection == 0
     lowest, highest = _order_range(phases, valid, camera, projector, volume)
-    turns = phases.phase[valid] / TWO_PI
-    guard = guard_px(phases)[valid] / phases.period_px
-    count = np.zeros(len(turns), np.int32)
-    chosen = np.full(len(turns), NO_ORDER, np.int32)
-    wanted = phases.order_class[valid]
-    for offset, name in enumerate(phases.class_of_order):
-        order = phases.first_order + offset
-        fits = wanted == name
-        fits &= (turns + order >= lowest - guard) & (turns + order <= highest + guard)
-        count += fits
-        chosen[fits] = order
+    count, chosen = _candidates(phases, valid, lowest, highest)
     rejection = np.zeros(valid.shape, np.uint16)
     found = np.zeros(valid.shape, np.int32)
     found[valid] = count
@@ -114,6 +107,49 @@ def resolve_orders(
     all_orders = np.arange(len(phases.class_of_order), dtype=np.int32) + phases.first_order
     resolved = replace(phases, order_class=order_map, class_of_order=all_orders)
     return resolved.rejecting(rejection)
+
+
+def twin_share(
+    phases: PhaseMap, camera: Device, projector: Device, volume: MeasuringVolume, /
+) -> float:
+    """Return how many pixels have their only order in the volume, but another one close to it.
+
+    Close is within `OUTSIDE_PART` of the segment's length on both sides. Where a table or a wall
+    stands there, it is taken for a part of the volume.
+
+    Returns
+    -------
+    float, 0 to 1, of the pixels with exactly one order in the volume; 0 for a full code
+    """
+    valid = phases.rejection == 0
+    if phases.is_absolute or not valid.any():
+        return 0.0
+    lowest, highest = _order_range(phases, valid, camera, projector, volume)
+    more = OUTSIDE_PART * (highest - lowest)
+    inside, _ = _candidates(phases, valid, lowest, highest)
+    around, _ = _candidates(phases, valid, lowest - more, highest + more)
+    return float((around > 1)[inside == 1].mean()) if (inside == 1).any() else 0.0
+
+
+def _candidates(
+    phases: PhaseMap,
+    valid: NDArray[np.bool_],
+    lowest: NDArray[np.float64],
+    highest: NDArray[np.float64],
+) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    """Return the number of orders of the class between two phases (turns), and the last of them."""
+    turns = phases.phase[valid] / TWO_PI
+    guard = guard_px(phases)[valid] / phases.period_px
+    wanted = phases.order_class[valid]
+    count = np.zeros(len(turns), np.int32)
+    chosen = np.full(len(turns), NO_ORDER, np.int32)
+    for offset, name in enumerate(phases.class_of_order):
+        order = phases.first_order + offset
+        fits = wanted == name
+        fits &= (turns + order >= lowest - guard) & (turns + order <= highest + guard)
+        count += fits
+        chosen[fits] = order
+    return count, chosen
 
 
 def guard_px(phases: PhaseMap, /) -> NDArray[np.float64]:

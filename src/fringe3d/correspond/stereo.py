@@ -77,22 +77,28 @@ def match_cameras(
     to_c2 = camera2.device_from_world
     base, along = to_c2.apply(origin), np.ascontiguousarray(to_c2.rotate(directions))
     phase1, order1 = phases1.phase[valid], phases1.order_class[valid]
-    maps2 = lens_of(camera2), phases2.phase, phases2.order_class
-    _search.search(phase1, order1, base, along, near, far, *maps2, found, state)
+    lens2, phase2, order2 = lens_of(camera2), phases2.phase, phases2.order_class
+    _search.search(phase1, order1, base, along, near, far, lens2, phase2, order2, found, state)
     if volume is not None:
         enter, leave = depth_interval(origin, directions, volume)
+        misses = ~(enter < leave)
         if depths_mm is not None:
-            enter, leave = np.fmax(enter, lower), np.fmin(leave, upper)
-        state[~(enter < leave)] = OUTSIDE_VOLUME
+            misses |= ~(np.fmax(enter, lower) < np.fmin(leave, upper))
+        state[misses] = OUTSIDE_VOLUME
         if phases1.is_absolute:
             # The table under the object has its true point outside the volume: say so.
             lost = np.flatnonzero(state == _search.NONE)
-            near, far = depth_interval(origin, directions[lost], seen)
-            beyond = np.empty((len(lost), 3)), np.empty(len(lost), np.int8)
-            _search.search(
-                phase1[lost], order1[lost], base, along[lost], near, far, *maps2, *beyond
-            )
-            state[lost[beyond[1] == _search.FOUND]] = OUTSIDE_VOLUME
+            first, last = depth_interval(origin, directions[lost], seen)
+            before = first, np.minimum(last, enter[lost])
+            behind = np.maximum(first, leave[lost]), last
+            for near, far in (before, behind):
+                found_there = np.empty((len(lost), 3))
+                there = np.empty(len(lost), np.int8)
+                _search.search(
+                    phase1[lost], order1[lost], base, along[lost], near, far, lens2, phase2, order2,
+                    found_there, there,
+                )  # fmt: skip
+                state[lost[there == _search.FOUND]] = OUTSIDE_VOLUME
     return _correspondences(phases1, phases2, camera2.name, valid, found, state)
 
 

@@ -8,6 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from fringe3d.decode.gray import CodeWords, expected_words
 from fringe3d.model import NO_ORDER, PhaseMap, Rejection, WrappedPhaseMap
@@ -80,9 +82,10 @@ def order_table(
     """Tabulate the meaning of every code word for fringes of one period.
 
     Any code fits that is a function of the projector coordinate: full, over-determined
-    (complementary), reduced cyclic, or with bits left out. Orders that show the same words
-    everywhere form one class. Where the phase says that an edge of the code is near, the word
-    from across that edge is accepted, too: so a bit that was misread at its edge does no harm.
+    (complementary), reduced cyclic, or with bits left out. Orders that show the same word
+    in some part of the period form one class. Where the phase says that an edge of the code is
+    near, the word from across that edge is accepted, too: so a bit that was misread at its edge
+    does no harm.
     Where that word has a meaning of its own (a plain code has its edges where the phase wraps;
     the low bits of a reflected code repeat mirrored, so that both neighbours of a class may come
     into question) it is kept as an alternative.
@@ -98,11 +101,7 @@ def order_table(
     w = (orders[:, None] + parts) * period_px
     words = expected_words(gray_set, w)
 
-    names: dict[bytes, int] = {}
-    class_of_order = np.array(
-        [names.setdefault(row.tobytes(), int(k)) for k, row in zip(orders, words, strict=True)],
-        np.int32,
-    )
+    class_of_order = _classes(orders, words)
     by_word = np.full((1 << len(gray_set.bits), PHASE_BINS), NO_ORDER, np.int32)
     alternatives = np.repeat(by_word[..., None], 2, axis=-1)
     all_bins = np.arange(PHASE_BINS)
@@ -120,6 +119,24 @@ def order_table(
                 _add_alternative(alternatives, row, bins, name, by_word)
     naive = _naive(words, class_of_order, len(by_word))
     return OrderTable(by_word, alternatives, naive, OrderClasses(int(orders[0]), class_of_order))
+
+
+def _classes(orders: NDArray[np.int32], words: NDArray[np.int32]) -> NDArray[np.int32]:
+    """Return the class of each order: all that share a word in some part of the period.
+
+    Where the code's cycle is no multiple of the period, orders share words in parts only; they are
+    one class, too, for the pixels there cannot tell them apart.
+    """
+    rows, cols = [], []
+    for part in words.T:
+        _, first, group = np.unique(part, return_index=True, return_inverse=True)
+        rows.append(np.arange(len(part)))
+        cols.append(first[group])
+    edges = np.concatenate(rows), np.concatenate(cols)
+    graph = coo_array((np.ones(len(edges[0]), bool), edges), shape=(len(orders),) * 2)
+    _, label = connected_components(graph, directed=False)
+    _, smallest = np.unique(label, return_index=True)
+    return np.asarray(orders[smallest[label]], np.int32)
 
 
 def _add_alternative(
@@ -234,8 +251,10 @@ def _mend_at_edges(
     """Take what continues the phase of the nearest safe pixel; else only clear words."""
     unsafe = (alternatives != NO_ORDER).any(axis=-1)
     safe = (order != NO_ORDER) & ~unsafe
-    if not (safe.any() and unsafe.any()):
+    if not unsafe.any():
         return order
+    if not safe.any():
+        return np.where(unsafe & ~is_clear, np.int32(NO_ORDER), order)
     rows, cols = ndimage.distance_transform_edt(~safe, return_distances=False, return_indices=True)
     rows, cols = rows[unsafe], cols[unsafe]
     turns = np.rint((phase[rows, cols] - phase[unsafe]) / TWO_PI).astype(np.int32)

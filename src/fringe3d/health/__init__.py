@@ -5,6 +5,7 @@ from fringe3d.health.geometry import (
     check_ambiguity,
     check_epipolar,
     check_trinocular,
+    check_twins,
     check_yield,
 )
 from fringe3d.health.recording import check_files
@@ -20,6 +21,7 @@ __all__ = [
     "check_phases",
     "check_texture",
     "check_trinocular",
+    "check_twins",
     "check_yield",
     "period_disagreement",
 ]

@@ -23,6 +23,9 @@ LOST_WARNING, LOST_SEVERE = 0.3, 0.8
 MIN_YIELD = 0.002
 """Fewer points per decoded pixel are strays, whatever the reason."""
 
+TWIN_WARNING = 0.05
+"""Part of the points that a surface outside the volume could stand behind."""
+
 AMBIGUOUS_WARNING, AMBIGUOUS_REFUSED = 0.05, 0.4
 """Part of the decoded pixels that the code leaves several points."""
 
@@ -119,6 +122,18 @@ def check_yield(points: PointMap, /) -> list[Finding]:
             "does this, too, where the code is reduced)"
         )
     return [Finding("warning", "lost_part", lost, f"{text}; {cause}")]
+
+
+def check_twins(share: float, /) -> list[Finding]:
+    """Judge how many points could be surfaces just outside the volume (`twin_share`)."""
+    text = f"{share:.1%} of the points have a twin of their code just outside the measuring volume"
+    if share <= TWIN_WARNING:
+        return [Finding("ok", "twin_part", share, text)]
+    text += (
+        ": a table, wall or holder there is taken for a part of the object. Look at the cloud; "
+        "record one code image more, or make the volume as deep as what is seen"
+    )
+    return [Finding("warning", "twin_part", share, text)]
 
 
 def check_ambiguity(matches: Correspondences, phases: PhaseMap, /) -> list[Finding]:

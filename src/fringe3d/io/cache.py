@@ -5,6 +5,8 @@ from __future__ import annotations
 import hashlib
 import os
 import tempfile
+import zipfile
+import zlib
 from collections.abc import Callable, Iterable
 from contextlib import suppress
 from pathlib import Path
@@ -18,6 +20,10 @@ from fringe3d import __version__
 MAX_BYTES = 2_000_000_000
 SWITCH = "FRINGE3D_CACHE"
 """Environment variable: a folder, or "off"."""
+
+UNREADABLE = (OSError, ValueError, EOFError, KeyError, TypeError, AttributeError, zlib.error,
+              zipfile.BadZipFile)  # fmt: skip
+"""What NumPy raises for files that were cut off, spoiled or of another kind."""
 
 Arrays = dict[str, NDArray[Any]]
 
@@ -41,7 +47,7 @@ def cached(key: str, make: Callable[[], Arrays], /) -> Arrays:
     if folder is None:
         return make()
     file = folder / f"{key}.npz"
-    with suppress(OSError, ValueError, EOFError), np.load(file) as stored:
+    with suppress(*UNREADABLE), np.load(file) as stored:
         arrays = {name: stored[name] for name in stored.files}
         os.utime(file)
         return arrays

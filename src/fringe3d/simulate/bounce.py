@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from fringe3d.model import Device
 from fringe3d.simulate._sampling import collect
-from fringe3d.simulate.caster import Hits
+from fringe3d.simulate.caster import Hits, above_surface
 from fringe3d.simulate.footprint import illuminate
 from fringe3d.simulate.optics import ProjectorOptics
 from fringe3d.simulate.scene import Scene
@@ -20,7 +20,6 @@ STEP_PX = 8
 
 N_DIRECTIONS = 48
 PLANE_MM_PER_PX = 0.5
-SURFACE_GAP = 1e-5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -86,7 +85,8 @@ def _gather(
     reference: NDArray[np.float64],
 ) -> tuple[NDArray[np.float32], ...]:
     directions = _cosine_directions(normals)
-    start = points + SURFACE_GAP * np.linalg.norm(projector.center_world) * normals
+    away = np.linalg.norm(projector.center_world - points, axis=1)
+    start = above_surface(points, normals, away)
     origins = np.broadcast_to(start[:, None], directions.shape).reshape(-1, 3)
     hits = scene.caster.cast(origins, directions.reshape(-1, 3))
     towards = (hits.normals * directions.reshape(-1, 3)).sum(axis=1) < 0  # not from inside

@@ -15,8 +15,11 @@ Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
 SURFACE_GAP = 1e-5
-"""Shadow rays start this part of their length above the surface, so that single precision (6e-8)
-does not let a surface shade itself."""
+"""Rays from a surface start this part of the distance to the light above it, so that single
+precision does not let a surface shade itself."""
+
+SINGLE_PRECISION = 4e-7
+"""Part of the coordinates, the same for scenes far from the origin."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -132,7 +135,7 @@ class Caster:
         if not facing.any():
             return free
         away, distance = away[facing], distance[facing]
-        start = points[facing] + (SURFACE_GAP * distance)[:, None] * normals[facing]
+        start = above_surface(points[facing], normals[facing], distance)
         hit = self._scene.run(
             start.astype(np.float32),
             (away / distance[:, None]).astype(np.float32),
@@ -141,6 +144,12 @@ class Caster:
         )
         free[facing] = hit < 0
         return free
+
+
+def above_surface(points: Floats, normals: Floats, distance_mm: Floats, /) -> Floats:
+    """Return where rays from surface points start; `distance_mm` (n,) sets the scale."""
+    gap = SURFACE_GAP * distance_mm + SINGLE_PRECISION * np.abs(points).max(axis=1)
+    return np.asarray(points + gap[:, None] * normals)
 
 
 def _to_sphere(origins: Floats, directions: Floats, sphere: Floats) -> Floats:

@@ -150,7 +150,8 @@ def illuminate(
     cosine = (away * hits.normals).sum(axis=1) / distance
     depth = projector.device_from_world.apply(points)[:, 2]
     fall_off = (np.linalg.norm(center - reference) / distance) ** 2
-    border = (depth / distance) ** (4 * light.vignetting)
+    # Without vignetting a screen across the axis is evenly lit: cosine and distance make cos^3.
+    border = (depth / distance) ** (4 * light.vignetting - 3)
     irradiance = np.where(lit, cosine * fall_off * border, 0.0)
     albedo, gloss = scene.reflectance(hits)
     blur = blur_variance(projector, light, depth, reference)

@@ -57,7 +57,8 @@ class ProjectorOptics:
     blur_px : float, projector px; standard deviation of the lens blur in focus (MTF)
     aperture_mm : float, mm; diameter of the pupil; blurs what is out of focus; 0 for none
     focus_mm : float, mm; depth that is in focus; 0 for the point nearest to all optical axes
-    vignetting : float; part of the natural fall-off cos^4 towards the border
+    vignetting : float; part of the natural fall-off cos^4 towards the border, as a screen
+        across the axis shows it
     flicker : float; relative standard deviation of the lamp from image to image
     vibration_px : float, projector px; random displacement from image to image, each axis
     """

@@ -30,6 +30,9 @@ from fringe3d.simulate.scene import Scene
 from fringe3d.simulate.sensor import expose, hot_pixels
 from fringe3d.simulate.truth import Truth, trace
 
+RAYS_THROUGH_PUPIL = 9
+"""From a grid of 3 x 3 on, places in the pixel and in the pupil are independent."""
+
 MAX_BLUR_STEP = 0.5
 """px**2 between blur levels; linear interpolation between them then changes the modulation of
 fringes of 16 px by less than 0.03 %."""
@@ -53,12 +56,24 @@ class Setup:
     ----------
     camera, projector, recording : optics and events
     n_rays : 1, 4, 9 or 16 rays for each pixel; at least 9 with an open aperture of the camera
+
+    Raises
+    ------
+    ValueError
+        If there are too few rays for an open aperture.
     """
 
     camera: CameraOptics = field(default_factory=CameraOptics)
     projector: ProjectorOptics = field(default_factory=ProjectorOptics)
     recording: Recording = field(default_factory=Recording)
     n_rays: int = 4
+
+    def __post_init__(self) -> None:
+        if self.camera.aperture_mm and self.n_rays < RAYS_THROUGH_PUPIL:
+            raise ValueError(
+                f"camera: aperture_mm: expected at least {RAYS_THROUGH_PUPIL} rays for each pixel "
+                f"to spread over the pupil, found {self.n_rays}. Take more (--rays)"
+            )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -111,7 +126,14 @@ def prepare(
 
 
 def record(
-    stage: Stage, plan: PatternPlan, /, *, seed: int, title: str = "", progress: Progress = _silent
+    stage: Stage,
+    plan: PatternPlan,
+    /,
+    *,
+    seed: int,
+    position: int = 0,
+    title: str = "",
+    progress: Progress = _silent,
 ) -> Scan:
     """Project a plan and record it with all cameras.
 
@@ -120,6 +142,7 @@ def record(
     stage : Stage
     plan : PatternPlan
     seed : int; the same seed gives the same bytes
+    position : int; number of the scan in a series: other noise, the same hot pixels
     title : str
     progress : called as the images are made
 
@@ -135,7 +158,7 @@ def record(
         If dropped or repeated images are not in the plan.
     """
     shown = _shown(plan.n_images, stage.setup.recording)
-    shake = np.random.default_rng([seed, 0])
+    shake = np.random.default_rng([seed, 0, position])
     lamp = 1 + stage.setup.projector.flicker * shake.standard_normal(len(shown))
     shifts = stage.setup.projector.vibration_px * shake.standard_normal((len(shown), 2))
     images = [
@@ -153,7 +176,7 @@ def record(
             levels = _projected(black, now)
         for number, camera in enumerate(now.rig.cameras):
             light = _light(now, number, levels, float(lamp[place]), shifts[place])
-            rng = np.random.default_rng([seed, 2, number, place])
+            rng = np.random.default_rng([seed, 2, position, number, place])
             images[number][place] = expose(
                 light.reshape(camera.shape), now.setup.camera, rng, hot[number]
             )
@@ -300,7 +323,8 @@ def turntable(
     ----------
     scene : Scene
     n_positions : int, >= 1; equal steps of the table
-    tilts_deg : float, deg; the object leans about its own x axis, through its middle
+    tilts_deg : float, deg; the object leans about the x direction, through the z axis at half
+        its height, before it turns
     """
     vertices = scene.thing.vertices_mm
     middle = scene.world_from_object.apply((vertices.min(axis=0) + vertices.max(axis=0)) / 2)
