@@ -39,6 +39,7 @@ from fringe3d.simulate.optics import (
 )
 from fringe3d.simulate.render import Setup, Stage, prepare, record
 from fringe3d.simulate.scene import Scene, table
+from fringe3d.simulate.sensor import expose
 
 Floats = NDArray[np.float64]
 
@@ -1157,3 +1158,24 @@ def test_pixel_mixes_by_area(slope: float, turn: bool) -> None:
     # and the grid is 3 % wider than even spacing to keep the variance of the area.
     assert np.abs(error).max() < 0.15
     assert np.abs((dark - area)[~mixed]).max() < EXACT
+
+
+@pytest.mark.parametrize("blur", [0.2, 0.3, 0.4, 0.5, 0.69, 0.72, 1.0, 2.0])
+def test_the_lens_blur_has_the_variance_as_set(blur: float) -> None:
+    """Of a bright point; 16 bits resolve its wings. OpenCV cuts its kernel at 3 to 4 sigma."""
+    light = np.zeros((41, 41), np.float32)
+    light[20, 20] = 1.0
+    optics = CameraOptics(bit_depth=16, black_level_dn=0, full_well_e=1e12, read_noise_e=0,
+                          exposure=1.0, blur_px=blur)  # fmt: skip
+    spread = expose(light, optics, np.random.default_rng(0), np.zeros_like(light)).astype(float)
+    offsets = np.arange(41) - 20.0
+    for axis in (0, 1):
+        profile = spread.sum(axis=axis) / spread.sum()
+        assert profile @ offsets == pytest.approx(0, abs=1e-6)
+        assert profile @ offsets**2 == pytest.approx(blur**2, rel=0.03, abs=1e-4)
+
+
+@pytest.mark.parametrize("n_rays", [1, 4])
+def test_an_open_aperture_needs_rays_to_fill_it(n_rays: int) -> None:
+    with pytest.raises(ValueError, match=r"aperture_mm: expected at least 9 rays .* found \d"):
+        Setup(camera=CameraOptics(aperture_mm=2.0), n_rays=n_rays)

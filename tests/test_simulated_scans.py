@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 
 from fringe3d.errors import MethodError
-from fringe3d.model import ImageStack, PatternPlan, Scan
+from fringe3d.model import ImageStack, Pattern, PatternPlan, Scan
+from fringe3d.model.plan import fringes, gray_code
 from fringe3d.patterns import method_plan, sequence
-from fringe3d.pipeline import Measurement, MeasureOptions, measure
+from fringe3d.pipeline import Measurement, MeasureOptions, Method, measure
 
 pytest.importorskip("embreex")
 
@@ -128,3 +129,53 @@ def test_jpeg_images_are_told_to_hide_their_noise(bodies: Stage) -> None:
         sigmas.append(np.nanmedian(points.sigma_mm))
     assert errors[1] > errors[0]
     assert sigmas[1] < 0.7 * sigmas[0]
+
+
+def test_a_code_too_short_for_what_lies_outside_the_volume_is_told(bodies: Stage) -> None:
+    """Two bits number 4 periods, the segment holds 4.1; the table stands just below the volume."""
+    assert bodies.rig.projector is not None
+    shape = bodies.rig.projector.shape
+    named = {}
+    for bits in (2, 3):
+        plan = method_plan("m2", shape, period_px=16.0, n_shifts=4, reduced_bits=bits)
+        result = measure(record(bodies, plan, seed=1))
+        named[bits] = {f.name: f.level for f in result.findings}["twin_part"]
+    assert named == {2: "warning", 3: "ok"}
+
+
+@pytest.mark.parametrize("method", ["auto", "projector"])
+def test_a_reduced_code_for_one_of_two_periods_finds_the_orders_of_that_one(
+    bodies: Stage, method: Method
+) -> None:
+    """8 cells of 16 px repeat after 128 px, no multiple of 17 px: only 16 px suits the code."""
+    assert bodies.rig.projector is not None
+    shape = bodies.rig.projector.shape
+    plan = sequence(shape, periods_px=(16.0, 17.0), n_shifts=4, gray_bits=3)
+    result = measure(record(bodies, plan, seed=1), MeasureOptions(method=method))
+    found, wrong = judged(bodies, result)
+    assert result.main.period_px == 16.0
+    assert found > 0.97
+    assert wrong < 0.005
+
+
+def test_a_code_with_cells_wider_than_the_period_is_refused(bodies: Stage) -> None:
+    """Cells of 24 px do not tell the periods of 16 px apart that share a cell."""
+    assert bodies.rig.projector is not None
+    patterns: tuple[Pattern, ...] = (*fringes(16.0, 4), *gray_code(24.0, 6))
+    plan = PatternPlan(patterns=patterns, projector_shape=bodies.rig.projector.shape)
+    with pytest.raises(MethodError, match=r"cells of the code are 24 px wide, the fringes 16 px"):
+        measure(record(bodies, plan, seed=1), MeasureOptions(method="projector"))
+
+
+def test_a_projector_that_is_off_by_more_than_a_fringe_allows_is_left_out(bodies: Stage) -> None:
+    """1.5 px of 4.5 px would put the search window beside the point."""
+    rig = bodies.rig
+    assert rig.projector is not None
+    plan = sequence(rig.projector.shape, periods_px=(9.0,), n_shifts=4)
+    scan = record(bodies, plan, seed=1)
+    moved = replace(rig.projector, center_px=rig.projector.center_px + np.array([2.7, 0.0]))
+    shifted = measure(replace(scan, rig=replace(rig, projector=moved)))
+    alone = measure(replace(scan, rig=replace(rig, projector=None)))
+    assert shifted.points is not None
+    assert alone.points is not None
+    assert shifted.points.n_points > 0.98 * alone.points.n_points

@@ -140,6 +140,12 @@ def _orders_by_code(
     best = min(
         range(len(maps)), key=lambda i: _suitability(tables[i], maps[i].period_px, code.cell_px)
     )
+    if maps[best].period_px < code.cell_px * (1 - EDGE_TOLERANCE):
+        raise MethodError(
+            f"camera '{stack.device_name}': the cells of the code are {code.cell_px:g} px wide, "
+            f"the fringes {maps[best].period_px:g} px: the code does not tell periods apart that "
+            "share a cell. Keep the finer bits, or correct cell_px or period_px in the sequence"
+        )
     return order_from_code(maps[best], words, tables[best])
 
 

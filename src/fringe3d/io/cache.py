@@ -47,7 +47,7 @@ def cached(key: str, make: Callable[[], Arrays], /) -> Arrays:
     if folder is None:
         return make()
     file = folder / f"{key}.npz"
-    with suppress(*UNREADABLE), np.load(file) as stored:
+    with suppress(*UNREADABLE), file.open("rb") as handle, np.load(handle) as stored:
         arrays = {name: stored[name] for name in stored.files}
         os.utime(file)
         return arrays

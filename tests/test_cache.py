@@ -1,0 +1,73 @@
+"""The cache on disk gives back what was put in, and never stands in the way."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fringe3d.io.cache import SWITCH, cached, key_of
+
+ARRAYS = {"a": np.arange(6.0).reshape(2, 3), "b": np.array([True, False])}
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv(SWITCH, str(tmp_path / "cache"))
+    return tmp_path / "cache"
+
+
+def never() -> dict[str, np.ndarray]:
+    raise AssertionError("made again")
+
+
+def test_arrays_are_made_once(folder: Path) -> None:
+    key = key_of(["x"])
+    first = cached(key, lambda: ARRAYS)
+    second = cached(key, never)
+    for name, array in ARRAYS.items():
+        np.testing.assert_array_equal(array, first[name])
+        np.testing.assert_array_equal(array, second[name])
+        assert array.dtype == second[name].dtype
+    assert [p.name for p in folder.iterdir()] == [f"{key}.npz"]
+
+
+@pytest.mark.parametrize("spoil", ["cut", "flipped", "empty", "text", "npy"])
+def test_a_spoiled_entry_is_made_again(folder: Path, spoil: str) -> None:
+    key = key_of(["x"])
+    cached(key, lambda: ARRAYS)
+    file = folder / f"{key}.npz"
+    data = file.read_bytes()
+    if spoil == "npy":
+        with file.open("wb") as handle:
+            np.save(handle, np.arange(3))
+    else:
+        middle = len(data) // 3
+        flipped = data[:middle] + bytes(255 - b for b in data[middle : middle + 40])
+        file.write_bytes(
+            {"cut": data[: len(data) // 2], "flipped": flipped + data[middle + 40 :],
+             "empty": b"", "text": b"no archive"}[spoil]
+        )  # fmt: skip
+    again = cached(key, lambda: ARRAYS)
+    np.testing.assert_array_equal(ARRAYS["a"], again["a"])
+    np.testing.assert_array_equal(ARRAYS["a"], cached(key, never)["a"])
+
+
+def test_it_can_be_switched_off_or_out_of_reach(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv(SWITCH, "off")
+    assert cached("k", lambda: ARRAYS) is ARRAYS
+    (tmp_path / "file").write_text("in the way")
+    monkeypatch.setenv(SWITCH, str(tmp_path / "file" / "below"))
+    assert cached("k", lambda: ARRAYS) is ARRAYS
+
+
+def test_keys_tell_inputs_apart() -> None:
+    keys = [
+        key_of(parts)
+        for parts in (["ab"], ["a", "b"], [b"ab", b""], [np.arange(3)], [np.arange(3.0)])
+    ]
+    assert len(set(keys)) == len(keys)
+    assert key_of(["ab"]) == keys[0]
