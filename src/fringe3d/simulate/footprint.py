@@ -31,7 +31,6 @@ class Footprint:
     blur : (n_pixels, n_rays) float32, px**2; variance of the projector's blur there
     direct : (n_pixels, n_rays) float32; brightness for a white projector pixel; 0 where not lit
     ambient : (n_pixels,) float32; brightness without the projector, for unit ambient light
-    albedo : (n_pixels,) float32; mean over the rays
     """
 
     u: Maps
@@ -39,7 +38,6 @@ class Footprint:
     blur: Maps
     direct: Maps
     ambient: Maps
-    albedo: Maps
 
 
 def footprint(
@@ -120,16 +118,10 @@ def _paths(
     away = _unit(projector.center_world - hits.points_mm)
     direct = lambert * (albedo + gloss * _lobe(scene, hits, seen, away))
     shade = _vignetting(camera, np.asarray(directions), optics.vignetting).reshape(n_pixels, n_rays)
-    maps = [a.reshape(n_pixels, n_rays) for a in (u, v, blur, np.nan_to_num(direct), albedo)]
-    brightness = maps[4]
-    return (
-        maps[0].astype(np.float32),
-        maps[1].astype(np.float32),
-        maps[2].astype(np.float32),
-        (maps[3] * shade).astype(np.float32),
-        (brightness * shade).mean(axis=1).astype(np.float32),
-        brightness.mean(axis=1).astype(np.float32),
-    )
+    direct = np.nan_to_num(direct).reshape(n_pixels, n_rays) * shade
+    ambient = (albedo.reshape(n_pixels, n_rays) * shade).mean(axis=1)
+    places = (a.reshape(n_pixels, n_rays) for a in (u, v, blur))
+    return tuple(a.astype(np.float32) for a in (*places, direct, ambient))
 
 
 def illuminate(

@@ -8,6 +8,9 @@ import numpy as np
 
 from fringe3d.model import NoiseModel
 
+MOST = {"blur_px": 50.0, "aperture_mm": 200.0, "vibration_px": 1000.0}
+"""Larger values are slips of the pen; the blur would take minutes and leave nothing to see."""
+
 
 def _require(condition: bool, what: str, expected: str, found: object) -> None:
     if not condition:
@@ -77,8 +80,8 @@ class ProjectorOptics:
         _require(self.dark <= 1, "projector: dark", "0 to 1", self.dark)
         for key in ("dark", "blur_px", "aperture_mm", "focus_mm", "vignetting", "flicker",
                     "vibration_px"):  # fmt: skip
-            value = getattr(self, key)
-            _require(value >= 0, f"projector: {key}", "a number >= 0", value)
+            value, most = getattr(self, key), MOST.get(key, np.inf)
+            _require(0 <= value <= most, f"projector: {key}", f"0 to {most:g}", value)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -122,8 +125,8 @@ class CameraOptics:
         _require(0 <= self.black_level_dn < self.top_dn, "camera: black_level_dn",
                  f"0 to {self.top_dn:g}", self.black_level_dn)  # fmt: skip
         for key in ("read_noise_e", "blur_px", "aperture_mm", "focus_mm", "vignetting"):
-            value = getattr(self, key)
-            _require(value >= 0, f"camera: {key}", "a number >= 0", value)
+            value, most = getattr(self, key), MOST.get(key, np.inf)
+            _require(0 <= value <= most, f"camera: {key}", f"0 to {most:g}", value)
 
     @property
     def top_dn(self) -> float:
