@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from fringe3d.cli.app import main
+from fringe3d.cli import main
 from fringe3d.errors import PlanError
 from fringe3d.io.scanfile import FringesTable, GrayTable, plan_text, read_plan
 from fringe3d.model import Fringe, GrayBit, Pattern, PatternPlan, Uniform, Unused

@@ -11,16 +11,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from fringe3d.correspond import (
-    depths_of_orders,
-    fringe_crossing,
-    guard_px,
-    match_cameras,
-    match_projector,
-    resolve_orders,
-    twin_share,
-)
-from fringe3d.decode import CameraPhases, decode, has_mirrored_neighbours
+from fringe3d.correspond import twin_share
+from fringe3d.decode import CameraPhases, decode
 from fringe3d.errors import CalibrationError, EmptyResultError, Fringe3DError, MethodError
 from fringe3d.health import (
     Finding,
@@ -33,8 +25,8 @@ from fringe3d.health import (
     check_twins,
     check_yield,
 )
+from fringe3d.matching import best_direction_first, match
 from fringe3d.model import (
-    NO_ORDER,
     Correspondences,
     Device,
     Fringe,
@@ -45,7 +37,6 @@ from fringe3d.model import (
     PhaseMap,
     PointCloud,
     PointMap,
-    Rejection,
     Rig,
     Scan,
 )
@@ -64,15 +55,7 @@ Direction = Literal["auto", "x", "y"]
 GAP_FACTOR = 10.0
 """Neighbouring pixels belong to one surface up to ten typical distances: slopes up to 84 deg."""
 
-MIN_CROSSING_SINE = 0.05
-"""3 degrees between fringes and epipolar lines; sigma is twenty times that of a square crossing."""
-
 MIN_PATCH_PIXELS, STRICT_PATCH_PIXELS = 30, 200
-
-SAMPLE_STEP_PX = 8
-
-MAX_TRINOCULAR_PX = 3.0
-"""A projector that is further off judges nothing; the search window is half a period."""
 
 SPARSE_REACH_PX = 3
 """Gray code alone leaves out the pixels on the edges of its cells."""
@@ -181,7 +164,7 @@ def measure(
         phases = tuple(_decode(stack, scan.rig, method, options) for stack in stacks)
         findings = check_files(stacks) + check_phases(phases)
         if scan.rig is not None and method != "projector":
-            phases = _best_direction_first(phases, *_devices(scan.rig, stacks, method))
+            phases = best_direction_first(phases, *_devices(scan.rig, stacks, method))
     main = phases[0].directions[0].main
     method = _settle(method, options, main)
     if scan.rig is None:
@@ -190,7 +173,7 @@ def measure(
     camera, other = _devices(scan.rig, stacks, method)
     volume = _volume(scan.rig, camera, options)
     with clock("finding correspondences"):
-        matches = _match(phases, camera, other, scan.rig.projector, volume)
+        matches = match(phases, camera, other, scan.rig.projector, volume)
         findings += _refuse(check_ambiguity(matches, main), MethodError)
         if not main.is_absolute and scan.rig.projector is not None and volume is not None:
             share = twin_share(main, camera, scan.rig.projector, volume)
@@ -295,29 +278,6 @@ def choose_method(rig: Rig | None, stacks: Sequence[ImageStack], options: Measur
     return asked
 
 
-def _best_direction_first(
-    phases: tuple[CameraPhases, ...], camera: Device, other: Device
-) -> tuple[CameraPhases, ...]:
-    """Put the direction first whose phase changes fastest along the epipolar curves of C2."""
-    crossings = [
-        fringe_crossing(direction.main, camera, other) for direction in phases[1].directions
-    ]
-    best = max(range(len(crossings)), key=lambda i: np.nan_to_num(crossings[i][0]))
-    if crossings[best][1] < MIN_CROSSING_SINE:
-        raise MethodError(
-            f"two cameras: the fringes run along the epipolar lines of '{other.name}' (angle "
-            f"{np.degrees(np.arcsin(crossings[best][1])):.1f} degrees) and do not mark points on "
-            "them. Project fringes of the other direction"
-        )
-    return tuple(
-        replace(camera_phases, directions=(
-            camera_phases.directions[best],
-            *(d for i, d in enumerate(camera_phases.directions) if i != best),
-        ))
-        for camera_phases in phases
-    )  # fmt: skip
-
-
 def _settle(method: str, options: MeasureOptions, main: PhaseMap) -> str:
     """Tell M1 from M2, now that it is known what the code tells apart."""
     if method not in ("m1", "m2"):
@@ -370,82 +330,6 @@ def _decode(
     )
 
 
-def _match(
-    phases: Sequence[CameraPhases],
-    camera: Device,
-    other: Device,
-    projector: Device | None,
-    volume: MeasuringVolume | None,
-) -> Correspondences:
-    if other.role == "projector":
-        maps = [direction.main for direction in phases[0].directions[:2]]
-        return match_projector(maps, camera, other, volume)
-    main1 = phases[0].directions[0].main
-    main2 = phases[1].directions[0].like(main1)
-    if projector is not None and _projector_helps(main1, main2, camera, other, projector, volume):
-        return _match_three(main1, main2, camera, other, projector, volume)
-    if has_mirrored_neighbours(main1):
-        raise MethodError(
-            "--gray-bits: the finest images of a plain code repeat mirrored and do not tell all "
-            "neighbouring periods apart; a calibrated projector and the depth range would tell "
-            "where. Keep all, or record an over-determined code (cells of half a period) or a "
-            "cyclic one"
-        )
-    return match_cameras(main1, main2, camera, other, volume)
-
-
-def _match_three(
-    main1: PhaseMap,
-    main2: PhaseMap,
-    camera: Device,
-    other: Device,
-    projector: Device,
-    volume: MeasuringVolume | None,
-) -> Correspondences:
-    """Match two cameras where the projector tells which order can be, and at what depth."""
-    resolved = resolve_orders(main1, camera, projector, volume)
-    half_px = guard_px(main1)
-    if len(np.unique(main1.class_of_order)) > 1:
-        # With a code C2 knows the order, too: leave the projector room for errors.
-        half_px = np.full_like(half_px, main1.period_px / 2)
-    depths = depths_of_orders(resolved, camera, projector, half_px)
-    main1 = main1.rejecting(resolved.rejection)
-    matches = match_cameras(main1, main2, camera, other, volume, depths_mm=depths)
-    order = np.where(matches.rejection == 0, resolved.order_class, NO_ORDER)
-    return replace(matches, fringe_order=order)
-
-
-def _projector_helps(
-    main1: PhaseMap,
-    main2: PhaseMap,
-    camera: Device,
-    other: Device,
-    projector: Device,
-    volume: MeasuringVolume | None,
-) -> bool:
-    """Tell whether the projector may judge: a full code shows if it belongs to the cameras."""
-    if main1.is_absolute:
-        return _projector_agrees(main1, main2, camera, other, projector, volume)
-    return volume is not None
-
-
-def _projector_agrees(
-    main1: PhaseMap,
-    main2: PhaseMap,
-    camera: Device,
-    other: Device,
-    projector: Device,
-    volume: MeasuringVolume | None,
-) -> bool:
-    """Tell from a few pixels whether the projector's calibration belongs to the cameras'."""
-    left_out = np.full(main1.rejection.shape, np.uint16(Rejection.NO_MATCH))
-    left_out[::SAMPLE_STEP_PX, ::SAMPLE_STEP_PX] = 0
-    matches = match_cameras(main1.rejecting(left_out), main2, camera, other, volume)
-    points = triangulate(matches, camera, other, volume=volume)
-    limit = min(MAX_TRINOCULAR_PX, main1.period_px / 4)
-    return all(f.value < limit for f in check_trinocular(points, main1, projector))
-
-
 def _epipolar_limit(matches: Correspondences) -> float | None:
     """Return 6 robust sigma of the epipolar residual, px; None where there is no residual."""
     residual = np.abs(matches.epipolar_residual_px[np.isfinite(matches.epipolar_residual_px)])
@@ -469,10 +353,11 @@ def _finish(result: Measurement, clock: _Clock) -> Measurement:
     """Refuse a result that contradicts the calibration, or that is empty."""
     _refuse(result.findings, CalibrationError)
     if not (result.rejection == 0).any():
-        counts = count_by_reason(result.rejection)
+        counts = count_by_reason(result.rejection).items()
+        counted = ", ".join(f"{count} {name}" for name, count in counts)
         raise EmptyResultError(
             f"no pixel of camera '{result.main.device_name}' gave a "
-            f"{'phase' if result.points is None else 'point'}: {_counted(counts)}. "
+            f"{'phase' if result.points is None else 'point'}: {counted}. "
             "Check exposure, plan, calibration and measuring volume"
         )
     return replace(result, seconds=clock.seconds)
@@ -484,10 +369,6 @@ def _refuse(findings: Sequence[Finding], error: type[Fringe3DError]) -> Sequence
     if errors:
         raise error(". ".join(errors))
     return findings
-
-
-def _counted(counts: dict[str, int]) -> str:
-    return ", ".join(f"{count} {name}" for name, count in counts.items())
 
 
 def point_cloud(result: Measurement, /) -> PointCloud:

@@ -1,5 +1,5 @@
 """The command line: read, call, write, print."""
 
-from fringe3d.cli.app import main
+from fringe3d.cli.run import main
 
 __all__ = ["main"]

@@ -4,19 +4,17 @@ from __future__ import annotations
 
 import math
 import shlex
-import signal
 import sys
-import warnings
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from cyclopts import App, CycloptsError, Parameter
+from cyclopts import App, Parameter
 
 from fringe3d import __version__
-from fringe3d.cli.console import Reporter, fail, say
-from fringe3d.errors import AccuracyWarning, Fringe3DError, MethodError
+from fringe3d.cli.console import Reporter, say
+from fringe3d.errors import MethodError
 
 app = App(
     name="fringe3d",
@@ -397,27 +395,3 @@ def demo(*, out: Path = Path("demo"), overwrite: Overwrite = False) -> None:
     with Reporter(quiet=False).running() as reporter:
         text = run_demo(out, overwrite=overwrite, reporter=reporter)
     say(text)
-
-
-def main(arguments: list[str] | None = None) -> None:
-    """Run the command line; exit code 0 done, 2 for a mistake that the user can mend."""
-    warnings.simplefilter("default", AccuracyWarning)
-    with suppress(ValueError):  # only the main thread may: a killed run tidies up, too
-        signal.signal(signal.SIGTERM, signal.default_int_handler)
-    try:
-        app(arguments, exit_on_error=False, print_error=False, result_action="return_value")
-    except CycloptsError as problem:
-        fail(f"{' '.join(str(problem).split())} See --help")
-        sys.exit(2)
-    except Fringe3DError as problem:
-        fail(str(problem))
-        sys.exit(2)
-    except OSError as problem:
-        fail(f"{problem}. Check the path, its permissions and the space on the disk")
-        sys.exit(2)
-    except MemoryError:
-        fail("expected images that fit into memory, found none free. Take smaller or fewer ones")
-        sys.exit(2)
-    except KeyboardInterrupt:
-        fail("interrupted; nothing was written")
-        sys.exit(130)

@@ -1,0 +1,38 @@
+"""Run a command; mistakes become one message and an exit code."""
+
+from __future__ import annotations
+
+import signal
+import sys
+import warnings
+from contextlib import suppress
+
+from cyclopts import CycloptsError
+
+from fringe3d.cli.app import app
+from fringe3d.cli.console import fail
+from fringe3d.errors import AccuracyWarning, Fringe3DError
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Run the command line; exit code 0 done, 2 for a mistake that the user can mend."""
+    warnings.simplefilter("default", AccuracyWarning)
+    with suppress(ValueError):  # only the main thread may: a killed run tidies up, too
+        signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        app(arguments, exit_on_error=False, print_error=False, result_action="return_value")
+    except CycloptsError as problem:
+        fail(f"{' '.join(str(problem).split())} See --help")
+        sys.exit(2)
+    except Fringe3DError as problem:
+        fail(str(problem))
+        sys.exit(2)
+    except OSError as problem:
+        fail(f"{problem}. Check the path, its permissions and the space on the disk")
+        sys.exit(2)
+    except MemoryError:
+        fail("expected images that fit into memory, found none free. Take smaller or fewer ones")
+        sys.exit(2)
+    except KeyboardInterrupt:
+        fail("interrupted; nothing was written")
+        sys.exit(130)
