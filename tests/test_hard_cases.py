@@ -29,8 +29,9 @@ from fringe3d.model import (
     Scan,
 )
 from fringe3d.model.plan import fringes, gray_code
+from fringe3d.options import Method
 from fringe3d.patterns import sequence
-from fringe3d.pipeline import MeasureOptions, Method, measure
+from fringe3d.pipeline import MeasureOptions, measure
 
 MAD_TO_SIGMA = 1.4826
 
@@ -183,7 +184,7 @@ def test_wide_periods_are_not_accused_of_gamma(rig: Rig) -> None:
 def test_a_plain_code_cut_short_is_ambiguous_where_it_is_and_nowhere_wrong(
     rig: Rig, method: Method, gray_bits: int
 ) -> None:
-    """Periods 7 and 8 have the same three low bits in a reflected code.
+    """Periods 7 and 8 have the same three low bits in a reflected code; a second camera sees which.
 
     A few pixels at the rim see the plane outside the volume, whose order has a twin inside.
     """
@@ -198,7 +199,8 @@ def test_a_plain_code_cut_short_is_ambiguous_where_it_is_and_nowhere_wrong(
     ambiguous = (result.rejection & Rejection.AMBIGUOUS) != 0
     assert (error > 0.5).mean() < 0.005
     assert result.n_points > 35_000
-    assert 2_000 < ambiguous.sum() < 25_000
+    assert ambiguous.sum() < (2_000 if method == "m2" else 25_000)
+    assert ambiguous.sum() > 2_000 or method == "m2"
 
 
 def test_a_plain_code_cut_short_needs_the_projector_between_two_cameras(rig: Rig) -> None:

@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from closed_form import SphereScene, Truth, simulate
 from fringe3d.errors import CalibrationError, EmptyResultError, MethodError
+from fringe3d.methods import choose_method
 from fringe3d.model import (
     Device,
     ImageStack,
@@ -23,16 +24,9 @@ from fringe3d.model import (
     Scan,
 )
 from fringe3d.model.rejection import count_by_reason
+from fringe3d.options import Direction, keep_images
 from fringe3d.patterns import sequence
-from fringe3d.pipeline import (
-    Direction,
-    Measurement,
-    MeasureOptions,
-    choose_method,
-    keep_images,
-    measure,
-    point_cloud,
-)
+from fringe3d.pipeline import Measurement, MeasureOptions, measure, point_cloud
 
 Floats = NDArray[np.float64]
 Recording = tuple[Scan, tuple[Truth, ...]]
@@ -192,10 +186,10 @@ def test_a_true_calibration_raises_no_finding(result: Measurement) -> None:
 def test_strict_gives_a_subset_with_fewer_errors(
     options: MeasureOptions, rig: Rig, recording: Recording
 ) -> None:
-    """The same points, without those next to depth edges; never more than 5 sigma off."""
+    """The same points, without edges and the uncertain; never more than 5 sigma off."""
     truth = recording[1][0]
     plain, strict = measure(recording[0], options), measure(
-        recording[0], replace(options, strict=True)
+        recording[0], replace(options, strict=True, drop_edges=True)
     )  # fmt: skip
     assert plain.points is not None
     assert strict.points is not None
@@ -359,12 +353,12 @@ def test_method_follows_from_rig_and_cameras(rig: Rig, recording: Recording) -> 
     options = MeasureOptions()
     two, one = stacks_of(recording, 2), stacks_of(recording, 1)
     single = replace(rig, cameras=rig.cameras[:1])
-    assert choose_method(rig, two, options) == "m1"
-    assert choose_method(replace(rig, projector=None), two, options) == "m1"
-    assert choose_method(rig, one, options) == "projector"
-    assert choose_method(single, two, options) == "projector"
-    assert choose_method(rig, two, PROJECTOR) == "projector"
-    assert choose_method(None, two, options) == "phase"
+    assert choose_method(rig, two, options).method == "m1"
+    assert choose_method(replace(rig, projector=None), two, options).method == "m1"
+    assert choose_method(rig, one, options).method == "projector"
+    assert choose_method(single, two, options).method == "projector"
+    assert choose_method(rig, two, PROJECTOR).method == "projector"
+    assert choose_method(None, two, options).method == "phase"
 
 
 def test_methods_that_rig_or_images_do_not_allow_are_refused_in_words(
@@ -380,7 +374,15 @@ def test_methods_that_rig_or_images_do_not_allow_are_refused_in_words(
         (one, MeasureOptions(method="m1"), r"1 camera\(s\) in the scan.*--method projector"),
         (replace(scan, rig=unknown), PROJECTOR, r"calibrated projector.*--method m1"),
         (replace(one, rig=alone), MeasureOptions(), r"record with a second camera"),
-        (scan, MeasureOptions(method="m2"), r"found a full one.*--gray-bits"),
+        (replace(scan, rig=unknown), MeasureOptions(method="m2"), r"a full one.*--gray-bits"),
+        (
+            replace(scan, rig=unknown),
+            MeasureOptions(method="m3"),
+            r"expected a calibrated projector",
+        ),
+        (scan, MeasureOptions(method="m0"), r"fringes of two directions, found 1.*--method m1"),
+        (scan, MeasureOptions(method="m4"), r"fringes of two directions, found 1.*--method m1"),
+        (scan, MeasureOptions(method="m5"), r"up to one period.*m2 with 2 cyclic.*closer"),
         (scan, MeasureOptions(method="m1", gray_bits=3), r"periods apart.*--method m2"),
         (scan, MeasureOptions(depth_mm=(400.0, 300.0)), r"--depth:.*400.0 and 300.0"),
         (scan, MeasureOptions(depth_mm=(-300.0, -200.0)), r"--depth:.*lie behind it"),

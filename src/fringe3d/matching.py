@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from fringe3d.correspond import (
+    TwoViews,
+    choose_orders,
     depths_of_orders,
     fringe_crossing,
-    guard_px,
+    match_both_directions,
     match_cameras,
     match_projector,
-    resolve_orders,
 )
 from fringe3d.decode import CameraPhases, has_mirrored_neighbours
 from fringe3d.errors import MethodError
@@ -23,9 +24,9 @@ from fringe3d.model import (
     Correspondences,
     Device,
     MeasuringVolume,
-    PhaseMap,
     Rejection,
 )
+from fringe3d.options import MeasureOptions
 from fringe3d.triangulate import triangulate
 
 MIN_CROSSING_SINE = 0.05
@@ -36,16 +37,8 @@ SAMPLE_STEP_PX = 8
 MAX_TRINOCULAR_PX = 3.0
 """A projector that is further off judges nothing; the search window is half a period."""
 
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Pair:
-    """Two cameras with their phases, and the volume that they measure."""
-
-    phases1: PhaseMap
-    phases2: PhaseMap
-    camera1: Device
-    camera2: Device
-    volume: MeasuringVolume | None
+MIN_PROBABILITY, STRICT_PROBABILITY = 0.9, 0.99
+"""A fringe order that is less probable is AMBIGUOUS."""
 
 
 def best_direction_first(
@@ -78,6 +71,9 @@ def match(
     projector: Device | None,
     volume: MeasuringVolume | None,
     /,
+    *,
+    method: str,
+    options: MeasureOptions,
 ) -> Correspondences:
     """Find the correspondences of C1 with the second camera, or with the projector.
 
@@ -87,6 +83,8 @@ def match(
     camera, other : Device; C1, and the second camera or the projector
     projector : Device or None; where it is calibrated it helps two cameras, too
     volume : MeasuringVolume or None
+    method : str; as settled, see `fringe3d.methods`
+    options : MeasureOptions; how strict
 
     Returns
     -------
@@ -100,54 +98,85 @@ def match(
     if other.role == "projector":
         maps = [direction.main for direction in phases[0].directions[:2]]
         return match_projector(maps, camera, other, volume)
-    main1 = phases[0].directions[0].main
-    pair = _Pair(main1, phases[1].directions[0].like(main1), camera, other, volume)
-    if projector is not None and _projector_helps(pair, projector):
-        return _match_three(pair, projector)
-    if has_mirrored_neighbours(main1):
+    views = _two_views(phases, camera, other)
+    if method == "m0":
+        assert views.second1 is not None
+        assert views.second2 is not None
+        return match_both_directions((views.phases1, views.second1),
+                                     (views.phases2, views.second2), camera, other)  # fmt: skip
+    if method != "m4":
+        views = replace(views, second1=None, second2=None)
+    if projector is not None and volume is not None and _may_judge(views, projector, volume):
+        return _match_three(views, projector, volume, method, options)
+    if has_mirrored_neighbours(views.phases1):
         raise MethodError(
             "--gray-bits: the finest images of a plain code repeat mirrored and do not tell all "
             "neighbouring periods apart; a calibrated projector and the depth range would tell "
             "where. Keep all, or record an over-determined code (cells of half a period) or a "
             "cyclic one"
         )
-    return match_cameras(pair.phases1, pair.phases2, camera, other, volume)
+    return match_cameras(views.phases1, views.phases2, camera, other, volume,
+                         second=views.second)  # fmt: skip
 
 
-def _match_three(pair: _Pair, projector: Device) -> Correspondences:
-    """Match two cameras where the projector tells which order can be, and at what depth."""
-    phases1 = pair.phases1
-    resolved = resolve_orders(phases1, pair.camera1, projector, pair.volume)
-    half_px = guard_px(phases1)
-    if len(np.unique(phases1.class_of_order)) > 1:
-        # With a code C2 knows the order, too: leave the projector room for errors.
-        half_px = np.full_like(half_px, phases1.period_px / 2)
-    depths = depths_of_orders(resolved, pair.camera1, projector, half_px)
-    matches = match_cameras(
-        phases1.rejecting(resolved.rejection),
-        pair.phases2,
-        pair.camera1,
-        pair.camera2,
-        pair.volume,
-        depths_mm=depths,
+def _two_views(phases: Sequence[CameraPhases], camera: Device, other: Device) -> TwoViews:
+    first1, *more1 = phases[0].directions
+    first2, *more2 = phases[1].directions
+    second1 = more1[0].main if more1 and more2 else None
+    return TwoViews(
+        camera1=camera,
+        camera2=other,
+        phases1=first1.main,
+        phases2=first2.like(first1.main),
+        second1=second1,
+        second2=more2[0].like(second1) if second1 is not None else None,
     )
-    order = np.where(matches.rejection == 0, resolved.order_class, NO_ORDER)
-    return replace(matches, fringe_order=order)
 
 
-def _projector_helps(pair: _Pair, projector: Device) -> bool:
-    """Tell whether the projector may judge: a full code shows if it belongs to the cameras."""
-    if pair.phases1.is_absolute:
-        return _projector_agrees(pair, projector)
-    return pair.volume is not None
+def _match_three(
+    views: TwoViews,
+    projector: Device,
+    volume: MeasuringVolume,
+    method: str,
+    options: MeasureOptions,
+) -> Correspondences:
+    """Choose the order by projector and C2 together, then find its point in C2."""
+    least = options.min_order_probability
+    if least is None:
+        least = STRICT_PROBABILITY if options.strict else MIN_PROBABILITY
+    chosen = choose_orders(
+        views,
+        projector,
+        volume,
+        min_probability=least,
+        together=method != "m3",
+        strict=options.strict,
+    )
+    # Within a part of a period the wrapped phase alone marks the point.
+    matches = match_cameras(
+        views.phases1.rejecting(chosen.phases.rejection).without_orders(),
+        views.phases2.without_orders(),
+        views.camera1,
+        views.camera2,
+        volume,
+        depths_mm=depths_of_orders(chosen.phases, views.camera1, projector, chosen.half_px),
+    )
+    good = matches.rejection == 0
+    return replace(
+        matches,
+        fringe_order=np.where(good, chosen.phases.order_class, NO_ORDER),
+        order_probability=np.where(good, chosen.probability, np.nan),
+    )
 
 
-def _projector_agrees(pair: _Pair, projector: Device) -> bool:
-    """Tell from a few pixels whether the projector's calibration belongs to the cameras'."""
-    left_out = np.full(pair.phases1.rejection.shape, np.uint16(Rejection.NO_MATCH))
+def _may_judge(views: TwoViews, projector: Device, volume: MeasuringVolume) -> bool:
+    """Tell whether the projector's calibration belongs to the cameras': a full code shows it."""
+    if not views.phases1.is_absolute:
+        return True
+    left_out = np.full(views.phases1.rejection.shape, np.uint16(Rejection.NO_MATCH))
     left_out[::SAMPLE_STEP_PX, ::SAMPLE_STEP_PX] = 0
-    sample = pair.phases1.rejecting(left_out)
-    matches = match_cameras(sample, pair.phases2, pair.camera1, pair.camera2, pair.volume)
-    points = triangulate(matches, pair.camera1, pair.camera2, volume=pair.volume)
-    limit = min(MAX_TRINOCULAR_PX, pair.phases1.period_px / 4)
-    return all(f.value < limit for f in check_trinocular(points, pair.phases1, projector))
+    sample = views.phases1.rejecting(left_out)
+    matches = match_cameras(sample, views.phases2, views.camera1, views.camera2, volume)
+    points = triangulate(matches, views.camera1, views.camera2, volume=volume)
+    limit = min(MAX_TRINOCULAR_PX, views.phases1.period_px / 4)
+    return all(f.value < limit for f in check_trinocular(points, views.phases1, projector))

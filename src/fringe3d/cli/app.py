@@ -64,13 +64,16 @@ def measure(
     out: Path,
     images: Path | None = None,
     rig: Path | None = None,
-    method: Literal["auto", "m1", "m2", "projector"] = "auto",
+    method: Literal["auto", "m0", "m1", "m2", "m3", "m4", "m5", "projector"] = "auto",
     direction: Literal["auto", "x", "y"] = "auto",
     shifts: int | None = None,
     gray_bits: Annotated[int | None, Parameter(validator=_at_least(0))] = None,
+    light_dark: bool = True,
     depth: str | None = None,
     strict: Annotated[bool, Parameter(negative=())] = False,
+    drop_edges: Annotated[bool, Parameter(negative=())] = False,
     min_modulation: Annotated[float | None, Parameter(validator=_at_least(0))] = None,
+    min_probability: Annotated[float | None, Parameter(validator=_at_least(0))] = None,
     overwrite: Overwrite = False,
     as_json: Json = False,
 ) -> None:
@@ -90,25 +93,33 @@ def measure(
     rig
         Rig file to use instead of the scan's own.
     method
-        auto takes the best that images and rig allow. m1: two cameras, full Gray code. m2: two
-        cameras, reduced code. projector: one camera and the calibrated projector.
+        auto takes the best that images and rig allow, and says why. Two cameras: m0 full Gray
+        code in two directions, m1 full code, m2 reduced code, m3 fringes alone, m4 fringes of two
+        directions, m5 fringes alone and segments below one period; each leaves out the images
+        that it does without. projector: one camera and the calibrated projector.
     direction
         Use only the fringes and code of this direction (x: vertical stripes).
     shifts
         Use only that many of the phase steps.
     gray_bits
         Use only the finest images of each Gray code; 0 for none.
+    light_dark
+        Use light and dark images for the threshold of the code, where there are any.
     depth
         MIN:MAX, mm along the principal ray of C1; needed with few bits.
     strict
-        Metrology: fewer wrong points, at the price of edges and small patches.
+        Metrology: fewer wrong points, at the price of uncertain ones and small patches.
+    drop_edges
+        Leave out points next to depth edges, where light of two surfaces mixes.
     min_modulation
         Smallest fringe contrast, grey levels.
+    min_probability
+        Reject fringe orders that are less probable, 0 to 1; 0 takes the best that fits.
     """
     from fringe3d.io.atomic import require_writable
     from fringe3d.io.importing import parse_depth
     from fringe3d.io.recording import read_scan
-    from fringe3d.pipeline import MeasureOptions
+    from fringe3d.options import MeasureOptions
     from fringe3d.pipeline import measure as run
     from fringe3d.report.folder import Request, measure_record, summary, write_result
 
@@ -118,9 +129,12 @@ def measure(
         direction=direction,
         n_shifts=shifts,
         gray_bits=gray_bits,
+        light_dark=light_dark,
         depth_mm=parse_depth(depth) if depth else None,
         strict=strict,
+        drop_edges=drop_edges,
         min_modulation_dn=min_modulation,
+        min_order_probability=min_probability,
     )
     command = shlex.join(["fringe3d", *sys.argv[1:]])
     request = Request(command=command, scan=scan, images=images, rig=rig)
@@ -129,6 +143,8 @@ def measure(
         result = run(recording, options, stage=reporter.stage)
         reporter.stage("writing")
         write_result(out, recording, options, result, request=request, overwrite=overwrite)
+    if method == "auto":
+        reporter.note(f"method {result.method}: {result.why}")
     for finding in result.warnings:
         reporter.warn(finding.text)
     record = measure_record(recording, options, result, request=request) | {"out": str(out)}
@@ -376,6 +392,72 @@ def simulate(
     with Reporter(quiet=False).running() as reporter:
         text = run_simulation(options, reporter)
     say(text)
+
+
+@app.command
+def design(
+    rig: str,
+    /,
+    *,
+    period: Annotated[float | None, Parameter(validator=_at_least(2))] = None,
+    angle: Annotated[float | None, Parameter(validator=_at_least(-360))] = None,
+    depth: str | None = None,
+    steps: Annotated[int | None, Parameter(validator=_at_least(3))] = None,
+    noise: Annotated[float, Parameter(validator=_at_least(0))] = 0.01,
+    calibration_error_px: Annotated[float, Parameter(validator=_at_least(0))] = 0.1,
+    camera_period: Annotated[float | None, Parameter(validator=_at_least(1))] = None,
+    out: Path | None = None,
+    optimise: Annotated[bool, Parameter(negative=())] = False,
+    overwrite: Overwrite = False,
+    as_json: Json = False,
+) -> None:
+    """Tell which images a rig needs, how certain its points are, where its projector should stand.
+
+    Leaves design.md, design.json, rig.png, maps.png and segments.png in OUT.
+    Example: fringe3d design examples/sketches/kolibri.toml --out design
+
+    Parameters
+    ----------
+    rig
+        A rig.toml, a sketch of a rig (distances, angles, chips), or a preset of the simulator.
+    period
+        Fringe period, projector px; that of sketch or preset, or 16, by default.
+    angle
+        Fringe angle, degrees; 0: vertical fringes.
+    depth
+        MIN:MAX, mm along the principal ray of C1; needed where the rig has no volume.
+    steps
+        Phase steps; those of the sketch, or 4, by default.
+    noise
+        Noise of a grey value over the fringe amplitude.
+    calibration_error_px
+        How far calibrated and true image points differ.
+    camera_period
+        Period that the second camera sees, px; needed where the projector is not calibrated.
+    out
+        Folder for report and pictures; must not exist yet.
+    optimise
+        Look for a better place of the projector and angle of the fringes.
+    """
+    from fringe3d.cli.designer import DesignOptions, run_design
+    from fringe3d.io.importing import parse_depth
+
+    options = DesignOptions(
+        rig=rig,
+        period_px=period,
+        angle_deg=angle,
+        depth_mm=parse_depth(depth) if depth else None,
+        steps=steps,
+        noise=noise,
+        calibration_px=calibration_error_px,
+        camera_period_px=camera_period,
+        out=out,
+        optimise=optimise,
+        overwrite=overwrite,
+    )
+    with _simulator_installed("design"), Reporter(quiet=as_json).running() as reporter:
+        text, record = run_design(options, reporter)
+    say(text, record, as_json=as_json)
 
 
 @app.command

@@ -17,6 +17,7 @@ class Reporter:
     """Progress bars on standard error, results on standard output."""
 
     def __init__(self, *, quiet: bool) -> None:
+        self._quiet = quiet
         self.console = Console(stderr=True, highlight=False)
         self._progress = Progress(
             TextColumn("{task.description:<26}"),
@@ -47,6 +48,11 @@ class Reporter:
         self.step("measuring", self._stages, of)
         self._progress.update(self._tasks["measuring"], description=name)
         self._stages += 1
+
+    def note(self, text: str) -> None:
+        """Print a remark, unless only the result is wanted."""
+        if not self._quiet:
+            self.console.print(Text(text), soft_wrap=True)
 
     def warn(self, text: str) -> None:
         """Print a warning."""

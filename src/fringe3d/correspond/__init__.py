@@ -1,6 +1,9 @@
 """Where another device sees what a pixel of C1 sees."""
 
+from fringe3d.correspond.both_directions import match_both_directions
+from fringe3d.correspond.candidates import FIT_SIGMA, ChosenOrders, TwoViews, choose_orders
 from fringe3d.correspond.projector import (
+    GUARD_PX,
     depths_of_orders,
     guard_px,
     match_projector,
@@ -10,9 +13,15 @@ from fringe3d.correspond.projector import (
 from fringe3d.correspond.stereo import fringe_crossing, match_cameras
 
 __all__ = [
+    "FIT_SIGMA",
+    "GUARD_PX",
+    "ChosenOrders",
+    "TwoViews",
+    "choose_orders",
     "depths_of_orders",
     "fringe_crossing",
     "guard_px",
+    "match_both_directions",
     "match_cameras",
     "match_projector",
     "resolve_orders",

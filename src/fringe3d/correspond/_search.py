@@ -7,16 +7,13 @@ import math
 import numpy as np
 from numba import njit, prange
 
+from fringe3d.correspond._phase import MAX_JUMP, TWO_PI, phase_difference
 from fringe3d.geometry._lens import project_normalized
 
-TWO_PI = 2.0 * math.pi
 STEP_PX = 0.5
 """Steps of one pixel lose 0.7 % of the points on steep surfaces."""
 
 MAX_STEPS = 16384
-MAX_JUMP = 2.0
-"""rad between two steps; more is a depth edge or noise, not a surface."""
-
 SAME_POINT_PX = 2.0
 """Crossings closer than this are one crossing, split by noise."""
 
@@ -35,42 +32,12 @@ FOUND, NONE, SEVERAL, NO_VIEW = 0, 1, 2, 3
 
 
 @njit(cache=True, error_model="numpy")
-def _wrap(angle):  # type: ignore[no-untyped-def]
-    return angle - TWO_PI * math.floor(angle / TWO_PI + 0.5)
-
-
-@njit(cache=True, error_model="numpy")
 def _difference(x, y, phi1, order1, phase2, order2):  # type: ignore[no-untyped-def]
-    """Return phase2 - phi1 at (x, y), rad, wrapped, and whether the order there is order1.
-
-    Linear interpolation of the *signed, wrapped* difference between the four neighbours; a
-    missing one is continued from the other three. NaN where fewer are valid.
-    """
-    n_rows, n_cols = phase2.shape
-    col, row = math.floor(x), math.floor(y)
-    if col < 0 or row < 0 or col > n_cols - 2 or row > n_rows - 2:
+    """Return phase2 - phi1 at (x, y), rad, wrapped, and whether the order there is order1."""
+    difference, _, _ = phase_difference(x, y, phi1, phase2)
+    if math.isnan(difference):
         return np.nan, False
-    a, b = phase2[row, col], phase2[row, col + 1]
-    c, d = phase2[row + 1, col], phase2[row + 1, col + 1]
-    missing = math.isnan(a) + math.isnan(b) + math.isnan(c) + math.isnan(d)
-    if missing > 1:
-        return np.nan, False
-    # Phases relative to one valid neighbour, so that a wrap between pixels does no harm.
-    base = b if math.isnan(a) else a
-    a, b, c, d = _wrap(a - base), _wrap(b - base), _wrap(c - base), _wrap(d - base)
-    if missing == 1:
-        if math.isnan(a):
-            a = b + c - d
-        elif math.isnan(b):
-            b = a + d - c
-        elif math.isnan(c):
-            c = a + d - b
-        else:
-            d = b + c - a
-    if max(a, b, c, d) - min(a, b, c, d) > MAX_JUMP:
-        return np.nan, False
-    fx, fy = x - col, y - row
-    mean = (a * (1 - fx) + b * fx) * (1 - fy) + (c * (1 - fx) + d * fx) * fy
+    row, col = int(y), int(x)
     # A neighbour whose phase differs from phi1 by less than half a turn without wrapping lies
     # in the same period as phi1: its order must be order1.
     same = False
@@ -79,7 +46,17 @@ def _difference(x, y, phi1, order1, phase2, order2):  # type: ignore[no-untyped-
             value = phase2[row + i, col + j]
             if abs(value - phi1) < math.pi and order2[row + i, col + j] == order1:
                 same = True
-    return _wrap(base + mean - phi1), same
+    return difference, same
+
+
+@njit(cache=True, error_model="numpy")
+def _second_fits(x, y, i, second):  # type: ignore[no-untyped-def]
+    """Tell whether the phase of a second direction agrees, too, as far as it is known."""
+    phase1, limit, phase2 = second
+    if len(phase1) == 0:
+        return True
+    residual, _, _ = phase_difference(x, y, phase1[i], phase2)
+    return not abs(residual) > limit[i]
 
 
 @njit(cache=True, error_model="numpy")
@@ -120,8 +97,9 @@ def _point(s, line, lens2):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def _scan(line, n, step_px, phi1, order1, lens2, phase2, order2):  # type: ignore[no-untyped-def]
+def _scan(i, line, n, step_px, phase1, order1, lens2, phase2, order2, second):  # type: ignore[no-untyped-def]
     """Follow the segment in n steps; return crossings, and place and rise of the first."""
+    phi1, class1 = phase1[i], order1[i]
     hits, where, rise = 0, 0.0, 0.0
     last_hit, r_before = -1e9, np.nan
     x0, y0, x1, y1 = 0.0, 0.0, 0.0, 0.0
@@ -132,13 +110,13 @@ def _scan(line, n, step_px, phi1, order1, lens2, phase2, order2):  # type: ignor
         part = (k % LENS_STEPS) / LENS_STEPS
         x, y = x0 + part * (x1 - x0), y0 + part * (y1 - y0)
         r = np.nan
-        if not _far_off(x, y, phi1, order1, phase2, order2):
-            r, _ = _difference(x, y, phi1, order1, phase2, order2)
+        if not _far_off(x, y, phi1, class1, phase2, order2):
+            r, _ = _difference(x, y, phi1, class1, phase2, order2)
         if r_before * r <= 0 and abs(r - r_before) < MAX_JUMP and r != 0:
             at = (k - 1 + r_before / (r_before - r)) / n
             x, y = _point(at, line, lens2)
-            _, same = _difference(x, y, phi1, order1, phase2, order2)
-            if same:
+            _, same = _difference(x, y, phi1, class1, phase2, order2)
+            if same and _second_fits(x, y, i, second):
                 if hits == 0 or (k - last_hit) * step_px > SAME_POINT_PX:
                     hits += 1
                     where, rise = at, r - r_before
@@ -170,12 +148,13 @@ def _refine(where, rise, line, n, phi1, order1, lens2, phase2, order2):  # type:
 
 @njit(cache=True, parallel=True, error_model="numpy")
 def search(  # type: ignore[no-untyped-def]
-    phase1, order1, base, along, near, far, lens2, phase2, order2, found, state
+    phase1, order1, base, along, near, far, lens2, phase2, order2, second, found, state
 ):
     """Find the point with equal phase and order on each epipolar curve.
 
     phase1 (n,) rad, order1 (n,): pixels of C1; base (3,), along (n, 3): their rays in the frame
-    of C2, mm; near, far (n,): the segment, mm; phase2, order2 (row, col): maps of C2. Writes
+    of C2, mm; near, far (n,): the segment, mm; phase2, order2 (row, col): maps of C2; second =
+    (phase1 (n,), limit (n,), phase2): another direction, rad, empty for none. Writes
     found (n, 3): x, y, phase gradient along the curve (rad / px); state (n,): FOUND, NONE,
     SEVERAL or NO_VIEW.
     """
@@ -189,7 +168,9 @@ def search(  # type: ignore[no-untyped-def]
         if not length < MAX_STEPS * STEP_PX:
             continue
         n = max(2, int(length / STEP_PX) + 1)
-        hits, where, rise = _scan(line, n, length / n, phase1[i], order1[i], lens2, phase2, order2)
+        hits, where, rise = _scan(
+            i, line, n, length / n, phase1, order1, lens2, phase2, order2, second
+        )
         if hits != 1:
             state[i] = NONE if hits == 0 else SEVERAL
             continue

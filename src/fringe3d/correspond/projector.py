@@ -260,7 +260,7 @@ def _from_two_directions(
     sigma_w /= np.sqrt(n_shared)[:, None]
 
     origin, directions = rays(camera, pixels_c1[valid])
-    base, tangent = _epipolar_line_at(projector, origin, directions, pixels)
+    base, tangent = epipolar_line_at(projector, origin, directions, pixels)
     away = pixels - base
     residual = tangent[:, 0] * away[:, 1] - tangent[:, 1] * away[:, 0]
     # The point is not weighted: both coordinates move it along the curve as they move the pixel.
@@ -296,7 +296,7 @@ def _middle_of_cells(
     return grid, count[cell].astype(np.float64)
 
 
-def _epipolar_line_at(
+def epipolar_line_at(
     projector: Device,
     origin: NDArray[np.float64],
     directions: NDArray[np.float64],

@@ -24,6 +24,10 @@ OUTSIDE_VOLUME = 9
 
 SAMPLE = 20_000
 
+SECOND_SIGMA, SECOND_CALIBRATION_RAD = 6.0, 0.2
+"""How far the second direction may disagree: by noise, and by 0.3 px of calibration across fringes
+of ten pixels."""
+
 INTERPOLATION_WEIGHT = 4.0 / 9.0
 """Mean sum of squared weights of a bilinear interpolation at a random place, (2/3)**2."""
 
@@ -37,6 +41,7 @@ def match_cameras(
     /,
     *,
     depths_mm: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None,
+    second: tuple[PhaseMap, PhaseMap] | None = None,
 ) -> Correspondences:
     """Find in C2 the point with the phase and order of each pixel of C1.
 
@@ -52,6 +57,9 @@ def match_cameras(
     volume : MeasuringVolume or None
     depths_mm : two (row, col) maps or None, mm
         Narrower ends of the segments, distances along the viewing rays, where more is known.
+    second : two PhaseMap or None
+        Of C1 and C2, of fringes of another direction, that must agree as well (method M4 without
+        a projector).
 
     Returns
     -------
@@ -78,7 +86,10 @@ def match_cameras(
     base, along = to_c2.apply(origin), np.ascontiguousarray(to_c2.rotate(directions))
     phase1, order1 = phases1.phase[valid], phases1.order_class[valid]
     lens2, phase2, order2 = lens_of(camera2), phases2.phase, phases2.order_class
-    _search.search(phase1, order1, base, along, near, far, lens2, phase2, order2, found, state)
+    extra = _second_direction(second, valid)
+    _search.search(
+        phase1, order1, base, along, near, far, lens2, phase2, order2, extra, found, state
+    )
     if volume is not None:
         enter, leave = depth_interval(origin, directions, volume)
         misses = ~(enter < leave)
@@ -96,10 +107,21 @@ def match_cameras(
                 there = np.empty(len(lost), np.int8)
                 _search.search(
                     phase1[lost], order1[lost], base, along[lost], near, far, lens2, phase2, order2,
-                    found_there, there,
+                    _second_direction(None, valid), found_there, there,
                 )  # fmt: skip
                 state[lost[there == _search.FOUND]] = OUTSIDE_VOLUME
     return _correspondences(phases1, phases2, camera2.name, valid, found, state)
+
+
+def _second_direction(
+    second: tuple[PhaseMap, PhaseMap] | None, valid: NDArray[np.bool_]
+) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
+    """Return phases of C1, how far those of C2 may differ, rad, and the map of C2."""
+    if second is None:
+        return np.empty(0, np.float32), np.empty(0, np.float32), np.empty((0, 0), np.float32)
+    one, two = second
+    limit = SECOND_SIGMA * np.sqrt(2) * one.phase_std[valid] + SECOND_CALIBRATION_RAD
+    return one.phase[valid], limit.astype(np.float32), two.phase
 
 
 def fringe_crossing(phases2: PhaseMap, camera1: Device, camera2: Device, /) -> tuple[float, float]:

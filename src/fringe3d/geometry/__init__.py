@@ -8,6 +8,7 @@ from fringe3d.geometry.epipolar import (
     frustum,
     sheet_crossing,
 )
+from fringe3d.geometry.placing import above, looking_at, looking_at_origin
 from fringe3d.geometry.projection import (
     normalize,
     pixel_grid,
@@ -18,11 +19,14 @@ from fringe3d.geometry.projection import (
 )
 
 __all__ = [
+    "above",
     "closest_depths",
     "depth_interval",
     "epipolar_curve",
     "epipolar_segment",
     "frustum",
+    "looking_at",
+    "looking_at_origin",
     "normalize",
     "pixel_grid",
     "project",

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from fringe3d.errors import OutputError
 
-RESULT_MARKS = ("overview.png", "result/overview.png")
+RESULT_MARKS = ("overview.png", "result/overview.png", "design.json")
 """Files by which a folder is known as one that may be replaced."""
 
 

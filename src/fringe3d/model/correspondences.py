@@ -25,6 +25,8 @@ class Correspondences:
         other device; NaN where the point was searched on that curve
     fringe_order : (row, col) int32; the order (or class of orders) used; `NO_ORDER` where rejected
     rejection : (row, col) uint16; `Rejection` bits
+    order_probability : (row, col) float32; of the order among all that were possible; 1 where
+        the code decided (the default); NaN where rejected
     """
 
     device_name: str
@@ -34,6 +36,7 @@ class Correspondences:
     epipolar_residual_px: NDArray[np.float32]
     fringe_order: NDArray[np.int32]
     rejection: NDArray[np.uint16]
+    order_probability: NDArray[np.float32] | None = None
 
     def __post_init__(self) -> None:
         for name, dtype in (
@@ -45,6 +48,9 @@ class Correspondences:
             ("rejection", np.uint16),
         ):
             object.__setattr__(self, name, frozen(getattr(self, name), dtype))
+        certain = np.where(self.rejection == 0, np.float32(1), np.float32(np.nan))
+        given = certain if self.order_probability is None else self.order_probability
+        object.__setattr__(self, "order_probability", frozen(given, np.float32))
         if self.pixels.shape != (*self.rejection.shape, 2):
             raise ValueError(
                 f"correspondences: expected pixels of shape {(*self.rejection.shape, 2)}, "

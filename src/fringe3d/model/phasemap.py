@@ -121,6 +121,14 @@ class PhaseMap:
             rejection=self.rejection | rejection,
         )
 
+    def without_orders(self) -> PhaseMap:
+        """Return the map with all orders in one class: the wrapped phase alone."""
+        return replace(
+            self,
+            order_class=np.where(self.rejection == 0, np.int32(self.first_order), NO_ORDER),
+            class_of_order=np.full_like(self.class_of_order, self.first_order),
+        )
+
     @property
     def is_absolute(self) -> bool:
         """Tell whether the code singles out the fringe order."""

@@ -79,12 +79,14 @@ def point_maps(result: Measurement, /) -> dict[str, NDArray[Any]]:
     good = points.is_valid
     turns = np.where(matches.fringe_order == NO_ORDER, np.nan, matches.fringe_order)
     on_camera = result.method != "projector"
+    probability = matches.order_probability
+    assert probability is not None
     maps: dict[str, NDArray[Any]] = {
         "points_mm": points.points_mm,
         "sigma_mm": points.sigma_mm,
         "absolute_phase": np.where(good, main.phase + 2 * np.pi * turns, np.nan),
         "fringe_order": np.where(good, matches.fringe_order, NO_ORDER),
-        "order_probability": np.where(good, 1.0, np.nan).astype(np.float32),
+        "order_probability": np.where(good, probability, np.nan).astype(np.float32),
         "pixels_c2" if on_camera else "projector_xy": np.where(
             good[..., None], matches.pixels, np.nan
         ),
@@ -146,6 +148,7 @@ def measure_record(
     record: dict[str, Any] = {
         "summary": summary(result),
         "method": result.method,
+        "why_this_method": result.why,
         "title": scan.title,
         "time": datetime.now(UTC).isoformat(timespec="seconds"),
         "versions": {"fringe3d": __version__, "python": platform.python_version(),

@@ -6,8 +6,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
+from fringe3d.geometry import above, looking_at_origin
 from fringe3d.model import Device, MeasuringVolume, Rig, RigidTransform
 from fringe3d.simulate.mesh import Mesh
 from fringe3d.simulate.objects import HEIGHT_MM
@@ -83,25 +84,6 @@ class Preset:
             world_from_object=RigidTransform(rotation=np.eye(3), translation=[0, 0, self.table_mm]),
             surroundings=surroundings,
         )
-
-
-def looking_at_origin(place_mm: ArrayLike, /) -> RigidTransform:
-    """Return the pose of a device that looks from a place at the origin, its rows along x."""
-    place = np.asarray(place_mm, np.float64)
-    forward = -place / np.linalg.norm(place)
-    right = np.array([1.0, 0.0, 0.0]) - forward[0] * forward
-    right /= np.linalg.norm(right)
-    rotation = np.stack([right, np.cross(forward, right), forward])
-    return RigidTransform(rotation=rotation, translation=-rotation @ place)
-
-
-def above(tilt_deg: float, azimuth_deg: float, distance_mm: float) -> NDArray[np.float64]:
-    """Return the place at a tilt from the vertical and an azimuth from -y, (3,), mm."""
-    tilt, azimuth = np.radians([tilt_deg, azimuth_deg])
-    direction = np.array(
-        [np.sin(tilt) * np.sin(azimuth), -np.sin(tilt) * np.cos(azimuth), np.cos(tilt)]
-    )
-    return distance_mm * direction
 
 
 def _rig(

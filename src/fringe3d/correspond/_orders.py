@@ -1,0 +1,229 @@
+"""The fringe orders that fit a viewing ray, judged by what the second camera sees, compiled."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit, prange
+
+from fringe3d.correspond._phase import TWO_PI, phase_difference
+from fringe3d.geometry._lens import project_normalized
+
+SHEET_STEPS = 8
+"""Upper bound; the pinhole's slope with the exact lens gains two digits a step."""
+
+SHEET_TOLERANCE_PX = 1e-5
+
+MODEL_ERROR = 0.0015
+"""Periods; what remains of harmonics and interpolation where everything else is perfect."""
+
+DEPTH_STEP = 1e-4
+"""Part of the depth by which a point is moved to find its speed in an image."""
+
+UNSEEN_COST = 12.0
+"""A candidate that C2 does not see is as good as one that it sees 3.5 standard deviations off."""
+
+DEPTH, COST, INSIDE, RESIDUAL, SIGMA, SLOPE, RATIO = range(7)
+"""Columns of the result of `describe`."""
+
+N_COLUMNS = 7
+
+
+@njit(cache=True, error_model="numpy")
+def _pixel(base, along, t, lens):  # type: ignore[no-untyped-def]
+    """Return the pixel of a point of a viewing ray, NaN behind the device."""
+    z = base[2] + t * along[2]
+    if not z > 0:
+        return np.nan, np.nan
+    return project_normalized((base[0] + t * along[0]) / z, (base[1] + t * along[1]) / z, lens)
+
+
+@njit(cache=True, error_model="numpy")
+def _across(base, along, t, lens, axis):  # type: ignore[no-untyped-def]
+    """Return the coordinate w across the fringes that light a point of a viewing ray."""
+    x, y = _pixel(base, along, t, lens)
+    return axis[0] * (x + 0.5) + axis[1] * (y + 0.5)
+
+
+@njit(cache=True, error_model="numpy")
+def _sheet_depth(base, along, w, lens, axis):  # type: ignore[no-untyped-def]
+    """Return where a viewing ray meets a light sheet; NaN where it does not.
+
+    ``t(Phi) = (a - c Phi)/(e Phi - b)`` for the pinhole, then steps with its slope on the exact
+    lens.
+    """
+    sx, sy = axis[0] * lens[0], axis[1] * lens[1]
+    target = w - 0.5 * (axis[0] + axis[1]) - axis[0] * lens[2] - axis[1] * lens[3]
+    upper = base[0] * sx + base[1] * sy - base[2] * target
+    t = upper / (along[2] * target - along[0] * sx - along[1] * sy)
+    for _ in range(SHEET_STEPS):
+        error = _across(base, along, t, lens, axis) - w
+        if abs(error) < SHEET_TOLERANCE_PX:
+            return t
+        z = base[2] + t * along[2]
+        x, y = base[0] + t * along[0], base[1] + t * along[1]
+        rise = (sx * along[0] + sy * along[1]) / z - (sx * x + sy * y) * along[2] / (z * z)
+        t -= error / rise
+    return np.nan
+
+
+@njit(cache=True, error_model="numpy")
+def _same_class(x, y, phase, order, phase2, class2, class_of_order, first_order):  # type: ignore[no-untyped-def]
+    """Tell whether a neighbour of (x, y) has the class that the absolute phase there demands.
+
+    phase : rad, that of the surface there, unwrapped from the period `order`.
+    """
+    col, row = int(x), int(y)
+    for i in range(2):
+        for j in range(2):
+            value = phase2[row + i, col + j]
+            if math.isnan(value):
+                continue
+            index = order - first_order + math.floor((phase - value) / TWO_PI + 0.5)
+            on_projector = 0 <= index < len(class_of_order)
+            if on_projector and class2[row + i, col + j] == class_of_order[index]:
+                return True
+    return False
+
+
+@njit(cache=True, error_model="numpy")
+def _judge(t, i, order, ray1, ray2, axis, period, first, second, errors, bias):  # type: ignore[no-untyped-def]
+    """Return two costs, residual and sigma (periods), slope (rad / px) and ratio of a candidate.
+
+    A cost is a squared residual over its own variance: that of C2, and that of the second direction
+    in the projector. Where C2 sees nothing, or another class of orders, the residual is NaN and the
+    first cost that of a hidden point. The ratio is that of the phases that C2 and the projector
+    have along the ray.
+    """
+    base_p, along_p, lens_p = ray1
+    base_2, along_2, lens_2 = ray2
+    phase1, sigma1, phase2, sigma2, class2, class_of_order, first_order = first
+    step = DEPTH_STEP * t
+    w0 = _across(base_p, along_p[i], t, lens_p, axis)
+    w1 = _across(base_p, along_p[i], t + step, lens_p, axis)
+    per_turn = step * period / (w1 - w0)  # mm of the ray in one period
+    x, y = _pixel(base_2, along_2[i], t, lens_2)
+    x1, y1 = _pixel(base_2, along_2[i], t + step, lens_2)
+    dx, dy = (x1 - x) / step, (y1 - y) / step
+    extra = 0.0
+    if len(second[0]) > 0:
+        extra = _second_cost(t, i, per_turn, sigma1[i], ray1, second, errors[1])
+    difference, gx, gy = phase_difference(x, y, phase1[i], phase2)
+    if math.isnan(difference) or not _same_class(
+        x, y, phase1[i] + difference, order, phase2, class2, class_of_order, first_order
+    ):
+        return UNSEEN_COST, extra, np.nan, np.nan, np.nan, np.nan
+    speed = math.sqrt(dx * dx + dy * dy)
+    slope = (gx * dx + gy * dy) / speed
+    ratio = slope * speed * per_turn / TWO_PI
+    noise2 = sigma2[int(y + 0.5), int(x + 0.5)]
+    own = noise2 * noise2 + ((ratio - 1) * sigma1[i]) ** 2 + (gx * gx + gy * gy) * errors[0] ** 2
+    sigma = math.sqrt(own / TWO_PI**2 + MODEL_ERROR**2)
+    residual = (difference - (bias[0][i] + bias[1][i] * t) * slope) / TWO_PI
+    return (residual / sigma) ** 2, extra, difference / TWO_PI, sigma, slope, ratio
+
+
+@njit(cache=True, error_model="numpy")
+def _second_cost(t, i, per_turn, sigma1, ray1, second, cal_p):  # type: ignore[no-untyped-def]
+    """Return the cost of what the projector shows, in the second direction, at a point of a ray."""
+    base_p, along_p, lens_p = ray1
+    phase1, own_sigma1, axis, period = second
+    if math.isnan(phase1[i]):
+        return 0.0
+    w = _across(base_p, along_p[i], t, lens_p, axis)
+    w1 = _across(base_p, along_p[i], t + DEPTH_STEP * t, lens_p, axis)
+    drift = (w1 - w) / (DEPTH_STEP * t) * per_turn / period  # periods here for one of the first
+    turns = w / period - phase1[i] / TWO_PI
+    turns -= math.floor(turns + 0.5)
+    noise = (own_sigma1[i] ** 2 + (drift * sigma1) ** 2) / TWO_PI**2
+    return turns * turns / (noise + (cal_p / period) ** 2 + MODEL_ERROR**2)
+
+
+@njit(cache=True, error_model="numpy")
+def _order_range(ends, i, guard, turns, ray1, axis, period):  # type: ignore[no-untyped-def]
+    """Return the lowest and highest order whose phase lies on a part of the viewing ray."""
+    base_p, along_p, lens_p = ray1
+    w0 = _across(base_p, along_p[i], ends[i, 0], lens_p, axis)
+    w1 = _across(base_p, along_p[i], ends[i, 1], lens_p, axis)
+    if math.isnan(w0 + w1):
+        return 0, -1
+    lowest = math.ceil((min(w0, w1) - guard[i]) / period - turns)
+    return lowest, math.floor((max(w0, w1) + guard[i]) / period - turns)
+
+
+@njit(cache=True, parallel=True, error_model="numpy")
+def count_candidates(  # type: ignore[no-untyped-def]
+    ends, guard, class1, ray1, axis, period, phase1, class_of_order, first_order, count
+):
+    """Write how many orders of its class lie on each pixel's part of the ray; see below."""
+    for i in prange(len(class1)):
+        lowest, highest = _order_range(ends, i, guard, phase1[i] / TWO_PI, ray1, axis, period)
+        lowest = max(lowest, first_order)
+        highest = min(highest, first_order + len(class_of_order) - 1)
+        count[i] = 0
+        for order in range(lowest, highest + 1):
+            count[i] += class_of_order[order - first_order] == class1[i]
+
+
+@njit(cache=True, parallel=True, error_model="numpy")
+def list_candidates(  # type: ignore[no-untyped-def]
+    ends, guard, class1, task, orders, costs, extras, is_seen, is_inside
+):
+    """Write the orders of its class on each pixel's segment, and what speaks against each.
+
+    ends: (n, 2) mm, parts of the viewing rays, of the wide segment and of the volume; guard (n,):
+    projector px by which a candidate may lie beyond; class1 (n,): its class of orders; task: see
+    `describe`. Writes orders (rising), costs in C2 and of the second direction, whether C2 sees
+    them and whether they lie in the volume, (n, m); m bounds their number.
+    """
+    ray1, ray2, axis, period, first, second, errors, bias = task
+    wide_ends, inner_ends = ends
+    class_of_order, first_order = first[5], first[6]
+    for i in prange(len(class1)):
+        turns = first[0][i] / TWO_PI
+        lowest, highest = _order_range(wide_ends, i, guard, turns, ray1, axis, period)
+        lowest = max(lowest, first_order)
+        highest = min(highest, first_order + len(class_of_order) - 1)
+        first_inside, last_inside = _order_range(inner_ends, i, guard, turns, ray1, axis, period)
+        place = 0
+        for order in range(lowest, highest + 1):
+            if class_of_order[order - first_order] != class1[i] or place == orders.shape[1]:
+                continue
+            t = _sheet_depth(ray1[0], ray1[1][i], (order + turns) * period, ray1[2], axis)
+            if t > 0:
+                cost, extra, residual, _, _, _ = _judge(
+                    t, i, order, ray1, ray2, axis, period, first, second, errors, bias
+                )
+                orders[i, place], costs[i, place], extras[i, place] = order, cost, extra
+                is_seen[i, place] = not math.isnan(residual)
+                is_inside[i, place] = first_inside <= order <= last_inside
+                place += 1
+
+
+@njit(cache=True, parallel=True, error_model="numpy")
+def describe(order, no_order, ends, guard, task, result):  # type: ignore[no-untyped-def]
+    """Write depth, cost, whether it lies inside `ends`, residual ... of one order (n,) each.
+
+    task = (ray1, ray2, axis, period, first, second, errors, bias): ray1 = (base (3,), along (n, 3),
+    lens) in the projector's frame, ray2 in that of C2; axis (2,), period: of the fringes; first =
+    (phase1 (n,), sigma1 (n,), phase2, sigma2, class2 (maps), class_of_order, first_order); second =
+    (phase1, sigma1, axis, period) of the other direction, empty arrays for none; errors = (px in
+    C2, px in the projector) of the calibration; bias: (n,) px along the curve in C2, and its (n,)
+    rise with depth, px / mm.
+    """
+    ray1, ray2, axis, period, first, second, errors, bias = task
+    for i in prange(len(order)):
+        result[i, :] = np.nan
+        if order[i] == no_order:
+            continue
+        turns = first[0][i] / TWO_PI
+        t = _sheet_depth(ray1[0], ray1[1][i], (order[i] + turns) * period, ray1[2], axis)
+        lowest, highest = _order_range(ends, i, guard, turns, ray1, axis, period)
+        cost, _, residual, sigma, slope, ratio = _judge(
+            t, i, order[i], ray1, ray2, axis, period, first, second, errors, bias
+        )
+        result[i, DEPTH], result[i, COST] = t, cost
+        result[i, INSIDE] = 1.0 if lowest <= order[i] <= highest else 0.0
+        result[i, RESIDUAL], result[i, SIGMA] = residual, sigma
+        result[i, SLOPE], result[i, RATIO] = slope, ratio

@@ -1,0 +1,55 @@
+"""Phase of C2 between its pixels, compiled."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+TWO_PI = 2.0 * math.pi
+
+MAX_JUMP = 2.0
+"""rad between neighbouring pixels; more is a depth edge or noise, not a surface."""
+
+
+@njit(cache=True, error_model="numpy")
+def wrap(angle):  # type: ignore[no-untyped-def]
+    """Return an angle, rad, as -pi to pi."""
+    return angle - TWO_PI * math.floor(angle / TWO_PI + 0.5)
+
+
+@njit(cache=True, error_model="numpy")
+def phase_difference(x, y, phase1, phase2):  # type: ignore[no-untyped-def]
+    """Return phase2 - phase1 at (x, y), rad, wrapped, and the gradient of phase2, rad / px.
+
+    Bilinear between the four neighbours, relative to one of them; a missing one is continued
+    from the other three. NaN where fewer are valid.
+    """
+    n_rows, n_cols = phase2.shape
+    if not (0 <= x < n_cols - 1 and 0 <= y < n_rows - 1):
+        return np.nan, 0.0, 0.0
+    col, row = int(x), int(y)
+    a, b = phase2[row, col], phase2[row, col + 1]
+    c, d = phase2[row + 1, col], phase2[row + 1, col + 1]
+    missing = math.isnan(a) + math.isnan(b) + math.isnan(c) + math.isnan(d)
+    if missing > 1:
+        return np.nan, 0.0, 0.0
+    origin = b if math.isnan(a) else a
+    a, b, c, d = wrap(a - origin), wrap(b - origin), wrap(c - origin), wrap(d - origin)
+    if missing == 1:
+        if math.isnan(a):
+            a = b + c - d
+        elif math.isnan(b):
+            b = a + d - c
+        elif math.isnan(c):
+            c = a + d - b
+        else:
+            d = b + c - a
+    if max(a, b, c, d) - min(a, b, c, d) > MAX_JUMP:
+        return np.nan, 0.0, 0.0
+    fx, fy = x - col, y - row
+    value = (a * (1 - fx) + b * fx) * (1 - fy) + (c * (1 - fx) + d * fx) * fy
+    gx = (b - a) * (1 - fy) + (d - c) * fy
+    gy = (c - a) * (1 - fx) + (d - b) * fx
+    return wrap(origin + value - phase1), gx, gy

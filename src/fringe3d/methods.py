@@ -1,0 +1,309 @@
+"""Which method the plan and the rig allow, and which images it needs.
+
+=========  ==================================================  ===================================
+method     images                                              fringe order
+=========  ==================================================  ===================================
+m0         full Gray code, two directions                      code; point of equal phases, no
+                                                               epipolar geometry
+m1         full Gray code, one direction                       code
+m2         reduced Gray code                                   code, unique on the segment
+m3         fringes of one direction                            the candidate that C2 fits best
+m4         fringes of two directions                           the same, with both directions
+m5         fringes of one direction, segments of one period    the only candidate
+projector  one camera: full or reduced code, one or two        code, unique on the segment
+           directions
+=========  ==================================================  ===================================
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from fringe3d.decode import has_mirrored_neighbours
+from fringe3d.decode.order import order_table
+from fringe3d.design import gray_needs, guard_periods, periods_on_projector, twin_part
+from fringe3d.errors import MethodError
+from fringe3d.model import (
+    Fringe,
+    GrayBit,
+    ImageStack,
+    MeasuringVolume,
+    PatternPlan,
+    PhaseMap,
+    Rig,
+    Uniform,
+)
+from fringe3d.options import MeasureOptions
+from fringe3d.patterns import extent_px
+
+COUNT_STEP_PX = 8
+"""Segments are counted on every eighth row and column: they change slowly."""
+
+MOST_TWINS = 0.1
+"""Part of the points that may have a twin on their segment; C2 and the neighbours decide those."""
+
+TYPICAL_PHASE_STD, TYPICAL_CALIBRATION_PX = 0.01, 0.1
+"""rad and projector px; they widen the segments a little, as ``fringe3d design`` does."""
+
+FRINGES_ALONE = ("m3", "m4", "m5")
+
+
+@dataclass(frozen=True, slots=True)
+class Choice:
+    """A method, and why it was taken."""
+
+    method: str
+    why: str
+
+
+def choose_method(
+    rig: Rig | None, stacks: Sequence[ImageStack], options: MeasureOptions, /
+) -> Choice:
+    """Return the method that options, rig and images allow; say why if none does.
+
+    The choice is final but for codes and fringes alone, which `settle` tells apart when it is
+    known what the code says.
+
+    Raises
+    ------
+    MethodError
+        If the method that was asked for is not possible: what is missing, and what would do.
+    """
+    if rig is None:
+        if options.method != "auto":
+            raise MethodError(
+                f"--method {options.method}: expected a calibrated rig, found none. Name one with "
+                "--rig, or leave --method out to get the phase maps"
+            )
+        return Choice("phase", "no calibrated rig")
+    two_cameras = len(stacks) >= 2 and len(rig.cameras) >= 2
+    if options.method != "auto":
+        _require(options.method, rig, stacks, two_cameras)
+        return Choice(options.method, "asked for")
+    if not two_cameras:
+        _require("projector", rig, stacks, two_cameras)
+        return Choice("projector", "one camera and the calibrated projector")
+    plan = stacks[0].plan
+    if not plan.fringe_sets or plan.gray_sets or len({f.period_px for f in plan.fringe_sets}) > 1:
+        return Choice("m1", "two cameras and a code")
+    if len(plan.angles) > 1:
+        return Choice("m4", "two cameras, no code, fringes of two directions")
+    return Choice("m3", "two cameras, no code, fringes of one direction")
+
+
+def _require(method: str, rig: Rig, stacks: Sequence[ImageStack], two_cameras: bool) -> None:
+    """Raise MethodError if cameras, projector or images do not suffice for a method."""
+    if method == "projector":
+        if rig.projector is None:
+            raise MethodError(
+                "--method projector: expected a calibrated projector in the rig, found none. "
+                + ("Use --method m1" if two_cameras else "Add the projector to the rig file, or "
+                   "record with a second camera")
+            )  # fmt: skip
+        return
+    if not two_cameras:
+        raise MethodError(
+            f"--method {method}: expected images and calibration of two cameras, found "
+            f"{len(stacks)} camera(s) in the scan and {len(rig.cameras)} in the rig. "
+            "Use --method projector"
+        )
+    plan = stacks[0].plan
+    fringe_angles = {f.angle for f in plan.fringe_sets}
+    if method in ("m0", "m4") and len(fringe_angles) < 2:
+        raise MethodError(
+            f"--method {method}: expected fringes of two directions, found {len(fringe_angles)}. "
+            "Record the second direction (fringe3d patterns --direction xy), or use --method "
+            + ("m1" if plan.gray_sets else "m3")
+        )
+    if method == "m0" and fringe_angles - {g.angle for g in plan.gray_sets}:
+        raise MethodError(
+            "--method m0: expected a Gray code in both directions, found "
+            f"{len({g.angle for g in plan.gray_sets})}. Use --method m1 or m4"
+        )
+    if method in ("m1", "m2") and not plan.gray_sets and len(plan.fringe_sets) < 2:
+        raise MethodError(
+            f"--method {method}: expected a Gray code, found fringes alone. Use --method "
+            + ("m4, or" if len(fringe_angles) > 1 else "m5 or m3, or")
+            + " record the code images"
+        )
+    if method in FRINGES_ALONE and not plan.fringe_sets:
+        raise MethodError(f"--method {method}: expected fringe images, found none. Use --method m1")
+    if method == "m3" and rig.projector is None:
+        raise MethodError(
+            "--method m3: expected a calibrated projector, in which the candidates are compared; "
+            "found none in the rig. Calibrate it, or use --method "
+            + ("m1" if plan.gray_sets else "m4 with a second fringe direction")
+        )
+
+
+def images_of(
+    choice: Choice,
+    stack: ImageStack,
+    rig: Rig | None,
+    volume: MeasuringVolume | None,
+    options: MeasureOptions,
+    /,
+) -> ImageStack:
+    """Leave out the images that a method does without.
+
+    M3, M4 and M5 use fringes alone, of the finest period; M2 of a full code as many of the
+    finest code images as the segments need.
+    """
+    plan = stack.plan
+    if choice.method in FRINGES_ALONE:
+        finest = min(f.period_px for f in plan.fringe_sets)
+        kept = [
+            i
+            for i, p in enumerate(plan.patterns)
+            if isinstance(p, Fringe) and p.period_px == finest
+        ]
+        return stack.subset(kept)
+    if choice.method != "m2" or options.gray_bits is not None or rig is None:
+        return stack
+    if rig.projector is None or volume is None:
+        return stack  # what the segments need is not known: take what was recorded
+    angles = [f.angle for f in plan.fringe_sets if any(g.angle == f.angle for g in plan.gray_sets)]
+    bits = {angle: _bits_needed(plan, angle, rig, volume) for angle in angles}
+    kept = [
+        i
+        for i, p in enumerate(plan.patterns)
+        if isinstance(p, Fringe | Uniform)
+        or (isinstance(p, GrayBit) and p.bit < bits.get(p.angle, p.n_bits))
+    ]
+    return stack.subset(kept)
+
+
+def _bits_needed(plan: PatternPlan, angle: float, rig: Rig, volume: MeasuringVolume) -> int:
+    """Return how many of the finest code images leave hardly any twins on a segment."""
+    assert rig.projector is not None
+    code = next(g for g in plan.gray_sets if g.angle == angle)
+    period = min(f.period_px for f in plan.fringe_sets if f.angle == angle)
+    extent = extent_px(rig.projector.shape, angle)
+    for bits in range(1, len(code.bits)):
+        shorter = plan.subset(
+            [i for i, p in enumerate(plan.patterns)
+             if isinstance(p, GrayBit) and p.angle == angle and p.bit < bits]
+        )  # fmt: skip
+        table = order_table(shorter.gray_sets[0], period, extent)
+        told_apart = _told_apart(table.classes.class_of_order)
+        if _twins(rig, volume, period, angle, told_apart) <= MOST_TWINS / 10:
+            return bits
+    return len(code.bits)
+
+
+def _told_apart(class_of_order: np.ndarray) -> int:
+    """Return how many neighbouring orders a code tells apart: the least distance in a class."""
+    distances = [np.diff(np.flatnonzero(class_of_order == name)) for name in set(class_of_order)]
+    return int(min((d.min() for d in distances if len(d)), default=len(class_of_order)))
+
+
+def _twins(
+    rig: Rig, volume: MeasuringVolume, period_px: float, angle: float, told_apart: int
+) -> float:
+    """Return the part of the points that have a second order of their class on the segment."""
+    periods = _periods(rig, volume, period_px, angle)
+    return twin_part(periods, math.log2(told_apart), guard=_guard(period_px))
+
+
+def _guard(period_px: float) -> float:
+    return guard_periods(TYPICAL_PHASE_STD, TYPICAL_CALIBRATION_PX, period_px)
+
+
+def _periods(rig: Rig, volume: MeasuringVolume, period_px: float, angle: float) -> np.ndarray:
+    return periods_on_projector(
+        replace(rig, volume=volume), period_px=period_px, angle=angle, step=COUNT_STEP_PX
+    )
+
+
+def settle(
+    choice: Choice,
+    main: PhaseMap,
+    rig: Rig | None,
+    volume: MeasuringVolume | None,
+    options: MeasureOptions,
+    /,
+) -> Choice:
+    """Tell the methods of two cameras apart, now that it is known what the code tells.
+
+    Raises
+    ------
+    MethodError
+        If the code does not suffice for the method that was asked for, or the segments are too
+        long for it.
+    """
+    if choice.method in ("phase", "projector") or rig is None:
+        return choice
+    asked = options.method != "auto"
+    n_classes, n_orders = len(np.unique(main.class_of_order)), len(main.class_of_order)
+    if choice.method == "m0" and not main.is_absolute:
+        raise MethodError(f"--method m0: {_expected_full(n_classes, n_orders)}")
+    if choice.method in ("m1", "m2"):
+        choice = _settle_code(choice, main, asked)
+    if main.is_absolute or rig.projector is None or volume is None:
+        if choice.method in ("m2", "m3", "m5") and volume is None:
+            raise MethodError(
+                f"method {choice.method}: expected a measuring volume, found none in the rig. Give "
+                "the depth range of the object (--depth MIN:MAX, mm)"
+            )
+        return choice
+    told_apart = _told_apart(main.class_of_order)
+    twins = _twins(rig, volume, main.period_px, main.angle, told_apart)
+    if choice.method == "m3" and not asked and twins <= MOST_TWINS / 10:
+        return Choice("m5", "no code, and hardly a segment in the projector exceeds a period")
+    if has_mirrored_neighbours(main):
+        return choice  # where in the period the code is ambiguous differs: C2 decides
+    if choice.method in ("m2", "m5") and twins > MOST_TWINS:
+        raise MethodError(_too_long(choice.method, rig, volume, main, told_apart, twins))
+    return choice
+
+
+def _settle_code(choice: Choice, main: PhaseMap, asked: bool) -> Choice:
+    n_classes, n_orders = len(np.unique(main.class_of_order)), len(main.class_of_order)
+    if main.is_absolute:
+        if asked and choice.method == "m2":
+            raise MethodError(
+                "--method m2: expected a reduced Gray code, found a full one. Use --method m1, or "
+                "keep fewer bits with --gray-bits"
+            )
+        return choice if asked else Choice("m1", "the code numbers all periods")
+    if asked and choice.method == "m1":
+        raise MethodError(f"--method m1: {_expected_full(n_classes, n_orders)}")
+    if asked:
+        return choice
+    return Choice("m2", f"the code tells {n_classes} of {n_orders} periods apart")
+
+
+def _expected_full(n_classes: int, n_orders: int) -> str:
+    return (
+        f"expected a full Gray code, found one that tells {n_classes} of {n_orders} periods apart. "
+        "Keep more bits, or use --method m2 with the depth range of the object (--depth)"
+    )
+
+
+def _too_long(
+    method: str,
+    rig: Rig,
+    volume: MeasuringVolume,
+    main: PhaseMap,
+    told_apart: int,
+    twins: float,
+) -> str:
+    """Say what the segments are too long for, and what would do."""
+    periods = _periods(rig, volume, main.period_px, main.angle)
+    needs = gray_needs(periods, guard=_guard(main.period_px))
+    of = "one period" if told_apart == 1 else f"{told_apart} periods, which the code tells apart"
+    which = (
+        f"--method m2 with {needs.bits} cyclic code images, {needs.bits + 1} if over-determined"
+        if method == "m5"
+        else f"{needs.bits} cyclic code images ({needs.bits + 1} if over-determined)"
+    )
+    return (
+        f"--method {method}: expected segments of up to {of} in '{main.device_name}', found up to "
+        f"{needs.max_periods:.1f} (median {float(np.nanmedian(periods)):.1f}); {twins:.0%} of the "
+        f"points have a twin. What would do: {which}; a narrower depth range (--depth MIN:MAX); or "
+        "a projector closer to the camera (fringe3d design tells how close)"
+    )
