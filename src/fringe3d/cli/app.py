@@ -1,59 +1,19 @@
-"""The commands."""
+"""The commands that measure; the others register themselves."""
 
 from __future__ import annotations
 
-import math
 import shlex
 import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
-from cyclopts import App, Parameter
+from cyclopts import Parameter
 
-from fringe3d import __version__
+from fringe3d.cli import planning, simulated
 from fringe3d.cli.console import Reporter, say
-from fringe3d.errors import MethodError
+from fringe3d.cli.parameters import Json, Overwrite, app, at_least
 
-app = App(
-    name="fringe3d",
-    version=__version__,
-    help="Fringe-projection 3D measurement with few images. Lengths in mm, pixels from 0.",
-    suppress_keyboard_interrupt=False,  # main() says that nothing was written
-)
-
-Json = Annotated[bool, Parameter(name="--json", negative=(), help="Print the result as JSON.")]
-Overwrite = Annotated[bool, Parameter(negative=(), help="Replace what is there.")]
-
-
-def _at_least(low: float) -> Callable[[type, Any], None]:
-    """Return a check that a number, or each of several, is finite and not below `low`."""
-
-    def check(_type: type, value: Any) -> None:
-        for number in value if isinstance(value, list) else [value]:
-            if number is not None and not low <= number < math.inf:
-                raise ValueError(f"Expected a number of at least {low:g}.")
-
-    return check
-
-
-SIMULATOR_PACKAGES = ("embreex", "manifold3d", "skimage", "trimesh")
-
-
-@contextmanager
-def _simulator_installed(command: str) -> Iterator[None]:
-    """Say what to install if the block finds a package of the simulator missing."""
-    try:
-        yield
-    except ModuleNotFoundError as problem:
-        missing = (problem.name or "").partition(".")[0]
-        if missing not in SIMULATOR_PACKAGES:
-            raise
-        raise MethodError(
-            f"{command}: expected the packages of the simulator, found no '{missing}'. Install "
-            "them: pip install 'fringe3d[simulate]'"
-        ) from None
+__all__ = ["app", "planning", "simulated"]
 
 
 @app.command
@@ -67,13 +27,13 @@ def measure(
     method: Literal["auto", "m0", "m1", "m2", "m3", "m4", "m5", "projector"] = "auto",
     direction: Literal["auto", "x", "y"] = "auto",
     shifts: int | None = None,
-    gray_bits: Annotated[int | None, Parameter(validator=_at_least(0))] = None,
+    gray_bits: Annotated[int | None, Parameter(validator=at_least(0))] = None,
     light_dark: bool = True,
     depth: str | None = None,
     strict: Annotated[bool, Parameter(negative=())] = False,
     drop_edges: Annotated[bool, Parameter(negative=())] = False,
-    min_modulation: Annotated[float | None, Parameter(validator=_at_least(0))] = None,
-    min_probability: Annotated[float | None, Parameter(validator=_at_least(0))] = None,
+    min_modulation: Annotated[float | None, Parameter(validator=at_least(0))] = None,
+    min_probability: Annotated[float | None, Parameter(validator=at_least(0))] = None,
     overwrite: Overwrite = False,
     as_json: Json = False,
 ) -> None:
@@ -149,88 +109,6 @@ def measure(
         reporter.warn(finding.text)
     record = measure_record(recording, options, result, request=request) | {"out": str(out)}
     say(f"{summary(result)} -> {out}", record, as_json=as_json)
-
-
-@app.command
-def patterns(
-    *,
-    size: str,
-    out: Path,
-    period: list[float],
-    steps: int = 4,
-    direction: Literal["x", "y", "xy"] | None = None,
-    angle: Annotated[float | None, Parameter(validator=_at_least(-360))] = None,
-    reverse: Annotated[bool, Parameter(negative=())] = False,
-    gray: Literal["complementary", "plain", "none"] = "complementary",
-    gray_bits: Annotated[int | None, Parameter(validator=_at_least(1))] = None,
-    inverses: Annotated[bool, Parameter(negative=())] = False,
-    light_dark: Annotated[bool, Parameter(negative=())] = False,
-    bits: Literal[8, 16] = 8,
-    overwrite: Overwrite = False,
-) -> None:
-    """Write the images to project, and the plan that travels with them.
-
-    Leaves 000.png ..., plan.toml and overview.png in OUT.
-    Example: fringe3d patterns --size 1024x768 --period 16 --steps 4 --out patterns
-
-    Parameters
-    ----------
-    size
-        Projector pixels, WIDTHxHEIGHT.
-    out
-        Folder for the images; must not exist yet.
-    period
-        Fringe period, projector px, at least 2; need not be an integer; repeat it for several.
-    steps
-        Phase steps, at least 3; 0 for Gray code alone with cells of the period.
-    direction
-        x: vertical fringes (the default), y: horizontal, xy: both.
-    angle
-        Fringe angle in degrees instead of a direction; 0 is x, 90 is y.
-    reverse
-        Shift the fringes the other way.
-    gray
-        complementary codes half periods (one image more, no errors at the edges).
-    gray_bits
-        Tell 2^n periods apart, cyclically; as many as there are by default.
-    inverses
-        Add the inverse of each Gray-code image.
-    light_dark
-        Add a light and a dark image.
-    bits
-        Bit depth of the images.
-    """
-    from fringe3d.io.importing import parse_size
-    from fringe3d.patterns import require_numbered, sequence
-    from fringe3d.report.patterns import write_patterns
-
-    width, height = parse_size(size, "--size")
-    if angle is not None and direction is not None:
-        raise MethodError(
-            f"--angle, --direction: expected one of them, found {angle:g} and {direction}. Leave "
-            "one out"
-        )
-    if angle is not None:
-        angles: tuple[float, ...] = (math.radians(angle),)
-    else:
-        angles = tuple({"x": 0.0, "y": math.pi / 2}[name] for name in direction or "x")
-    try:
-        plan = sequence(
-            (height, width),
-            periods_px=tuple(period),
-            n_shifts=steps,
-            angles=angles,
-            reverse=reverse,
-            gray=gray,
-            gray_bits=gray_bits,
-            inverses=inverses,
-            light_dark=light_dark,
-        )
-        require_numbered(plan)
-    except ValueError as problem:
-        raise MethodError(f"{problem}. See fringe3d patterns --help") from None
-    write_patterns(out, plan, bit_depth=bits, overwrite=overwrite)
-    say(f"{plan.n_images} images of {width} x {height} px, {bits} bit -> {out}")
 
 
 @app.command(name="import")
@@ -310,170 +188,4 @@ def import_(
         overwrite=overwrite,
     )
     text = import_recording(options, Reporter(quiet=False))
-    say(text)
-
-
-@app.command
-def simulate(
-    preset: str,
-    /,
-    *,
-    out: Path,
-    thing: Annotated[str, Parameter(name="--object")] = "machine-part",
-    plan: str = "m1",
-    seed: Annotated[int, Parameter(validator=_at_least(0))] = 0,
-    steps: Annotated[int, Parameter(validator=_at_least(3))] = 4,
-    period: Annotated[float | None, Parameter(validator=_at_least(2))] = None,
-    camera_size: str = "640x512",
-    background: Literal["table", "wall", "none"] = "table",
-    rays: int = 4,
-    positions: Annotated[int, Parameter(validator=_at_least(1))] = 1,
-    tilts: str = "0",
-    settings: Path | None = None,
-    overwrite: Overwrite = False,
-) -> None:
-    """Record a scan without hardware, with exact truth.
-
-    Leaves an ordinary scan folder with truth.npz, simulation.toml and overview.png in OUT.
-    Example: fringe3d simulate kolibri --object teeth --plan m2 --seed 1 --out scan
-
-    Parameters
-    ----------
-    preset
-        The rig: kolibri, kolibri-m5, designed, wide-depth, face or single.
-    out
-        Folder of the scan; must not exist yet.
-    thing
-        plane, prism, machine-part, teeth, sphere, ball-bar, flat-plate, step-gauge, bust,
-        two-bodies, thin-wire, hand, or a file: STL, PLY or OBJ, in mm.
-    plan
-        What is projected: the images of a method, m0 to m6, or a plan.toml.
-    seed
-        The same seed gives the same bytes.
-    steps
-        Phase steps.
-    period
-        Fringe period, projector px; that of the preset by default.
-    camera_size
-        Pixels of the cameras, WIDTHxHEIGHT.
-    background
-        What the object stands on or hangs before; lit and seen, outside the measuring volume.
-    rays
-        Rays for each pixel: 1, 4, 9 or 16.
-    positions
-        Turn the object on a rotary table to that many positions: a series of scans.
-    tilts
-        Tilts of the table, degrees, with commas between: a series for each.
-    settings
-        TOML file with [surface], [camera], [projector] and [recording]: noise, gamma, blur,
-        black level, vibration, motion, dropped images ... as in the simulation.toml of any scan.
-    """
-    from fringe3d.io.importing import parse_size
-
-    with _simulator_installed("simulate"):
-        from fringe3d.cli.simulator import SimulateOptions, parse_tilts, run_simulation
-
-    options = SimulateOptions(
-        preset=preset,
-        thing=thing,
-        plan=plan,
-        seed=seed,
-        out=out,
-        steps=steps,
-        period_px=period,
-        camera_size=parse_size(camera_size, "--camera-size"),
-        background=background,
-        n_rays=rays,
-        positions=positions,
-        tilts_deg=parse_tilts(tilts),
-        settings=settings,
-        overwrite=overwrite,
-    )
-    with Reporter(quiet=False).running() as reporter:
-        text = run_simulation(options, reporter)
-    say(text)
-
-
-@app.command
-def design(
-    rig: str,
-    /,
-    *,
-    period: Annotated[float | None, Parameter(validator=_at_least(2))] = None,
-    angle: Annotated[float | None, Parameter(validator=_at_least(-360))] = None,
-    depth: str | None = None,
-    steps: Annotated[int | None, Parameter(validator=_at_least(3))] = None,
-    noise: Annotated[float, Parameter(validator=_at_least(0))] = 0.01,
-    calibration_error_px: Annotated[float, Parameter(validator=_at_least(0))] = 0.1,
-    camera_period: Annotated[float | None, Parameter(validator=_at_least(1))] = None,
-    out: Path | None = None,
-    optimise: Annotated[bool, Parameter(negative=())] = False,
-    overwrite: Overwrite = False,
-    as_json: Json = False,
-) -> None:
-    """Tell which images a rig needs, how certain its points are, where its projector should stand.
-
-    Leaves design.md, design.json, rig.png, maps.png and segments.png in OUT.
-    Example: fringe3d design examples/sketches/kolibri.toml --out design
-
-    Parameters
-    ----------
-    rig
-        A rig.toml, a sketch of a rig (distances, angles, chips), or a preset of the simulator.
-    period
-        Fringe period, projector px; that of sketch or preset, or 16, by default.
-    angle
-        Fringe angle, degrees; 0: vertical fringes.
-    depth
-        MIN:MAX, mm along the principal ray of C1; needed where the rig has no volume.
-    steps
-        Phase steps; those of the sketch, or 4, by default.
-    noise
-        Noise of a grey value over the fringe amplitude.
-    calibration_error_px
-        How far calibrated and true image points differ.
-    camera_period
-        Period that the second camera sees, px; needed where the projector is not calibrated.
-    out
-        Folder for report and pictures; must not exist yet.
-    optimise
-        Look for a better place of the projector and angle of the fringes.
-    """
-    from fringe3d.cli.designer import DesignOptions, run_design
-    from fringe3d.io.importing import parse_depth
-
-    options = DesignOptions(
-        rig=rig,
-        period_px=period,
-        angle_deg=angle,
-        depth_mm=parse_depth(depth) if depth else None,
-        steps=steps,
-        noise=noise,
-        calibration_px=calibration_error_px,
-        camera_period_px=camera_period,
-        out=out,
-        optimise=optimise,
-        overwrite=overwrite,
-    )
-    with _simulator_installed("design"), Reporter(quiet=as_json).running() as reporter:
-        text, record = run_design(options, reporter)
-    say(text, record, as_json=as_json)
-
-
-@app.command
-def demo(*, out: Path = Path("demo"), overwrite: Overwrite = False) -> None:
-    """Measure a simulated scan of a machine part, and compare it with the truth.
-
-    Leaves the scan in OUT/scan and the result in OUT/result: look at overview.png.
-
-    Parameters
-    ----------
-    out
-        Folder for scan and result.
-    """
-    with _simulator_installed("demo"):
-        from fringe3d.cli.demo import run_demo
-
-    with Reporter(quiet=False).running() as reporter:
-        text = run_demo(out, overwrite=overwrite, reporter=reporter)
     say(text)

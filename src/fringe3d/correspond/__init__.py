@@ -1,7 +1,7 @@
 """Where another device sees what a pixel of C1 sees."""
 
 from fringe3d.correspond.both_directions import match_both_directions
-from fringe3d.correspond.candidates import FIT_SIGMA, ChosenOrders, TwoViews, choose_orders
+from fringe3d.correspond.candidates import FIT_SIGMA, ChosenOrders, choose_orders
 from fringe3d.correspond.projector import (
     GUARD_PX,
     depths_of_orders,
@@ -11,6 +11,7 @@ from fringe3d.correspond.projector import (
     twin_share,
 )
 from fringe3d.correspond.stereo import fringe_crossing, match_cameras
+from fringe3d.correspond.weighing import TwoViews
 
 __all__ = [
     "FIT_SIGMA",
