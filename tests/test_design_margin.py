@@ -51,9 +51,17 @@ def kolibri() -> Rig:
     return PRESETS["kolibri"](SIZE).rig
 
 
+def beside_c2() -> Rig:
+    """The kolibri with its projector at 30, 23 deg: 4.8 deg from C2, and off the middle."""
+    kolibri = PRESETS["kolibri"](SIZE).rig
+    assert kolibri.projector is not None
+    there = looking_at_origin(above(30.0, 23.0, 335.0))
+    return replace(kolibri, projector=replace(kolibri.projector, device_from_world=there))
+
+
 @pytest.fixture(scope="module")
-def designed() -> Rig:
-    return PRESETS["designed"](SIZE).rig
+def off_middle() -> Rig:
+    return beside_c2()
 
 
 def project(device: Device, point: ArrayLike) -> Floats:
@@ -159,9 +167,11 @@ def test_a_projector_in_the_middle_leaves_no_residual(kolibri: Rig) -> None:
 
 
 @pytest.mark.parametrize("angle", [0.0, TURNED])
-@pytest.mark.parametrize("name", ["kolibri", "designed"])
-def test_exact_residuals_are_those_of_brute_force(name: str, angle: float) -> None:
-    rig = PRESETS[name](SIZE).rig
+@pytest.mark.parametrize("is_off_middle", [False, True])
+def test_exact_residuals_are_those_of_brute_force(
+    kolibri: Rig, off_middle: Rig, is_off_middle: bool, angle: float
+) -> None:
+    rig = off_middle if is_off_middle else kolibri
     orders = [1, -1, 2, -3]
     normals = NORMALS / np.linalg.norm(NORMALS, axis=1, keepdims=True)
     got = wrong_order_residuals(rig, POINTS, normals, orders, period_px=PERIOD, angle=angle)
@@ -171,24 +181,26 @@ def test_exact_residuals_are_those_of_brute_force(name: str, angle: float) -> No
             assert value == pytest.approx(found_residual(rig, point, normal, j, angle), abs=1e-6)
 
 
-def test_wrong_points_lie_on_the_ray_and_have_the_phase_of_their_order(designed: Rig) -> None:
-    wrong = wrong_points(designed, POINTS, [1, -2], period_px=PERIOD, angle=TURNED)
-    c1 = designed.cameras[0]
+def test_wrong_points_lie_on_the_ray_and_have_the_phase_of_their_order(off_middle: Rig) -> None:
+    wrong = wrong_points(off_middle, POINTS, [1, -2], period_px=PERIOD, angle=TURNED)
+    c1 = off_middle.cameras[0]
     for point, pair in zip(POINTS, wrong, strict=True):
         for j, place in zip((1, -2), pair, strict=True):
             away = project(c1, place) - project(c1, point)
             assert np.abs(away).max() < 1e-6
-            step = phase(designed, place, TURNED) - phase(designed, point, TURNED)
+            step = phase(off_middle, place, TURNED) - phase(off_middle, point, TURNED)
             assert step == pytest.approx(j, abs=1e-7)
 
 
-def test_the_first_order_holds_for_short_steps(designed: Rig) -> None:
+def test_the_first_order_holds_for_short_steps(off_middle: Rig) -> None:
     """A hundredth of the period is a hundredth of the step, and of the relative error."""
-    sight = sight_of(designed, POINTS, period_px=PERIOD, angle=TURNED)
+    sight = sight_of(off_middle, POINTS, period_px=PERIOD, angle=TURNED)
     rho = phase_ratio(sight, NORMALS)
     errors = []
     for period in (PERIOD, PERIOD / 100):
-        seen = wrong_order_residuals(designed, POINTS, NORMALS, [1], period_px=period, angle=TURNED)
+        seen = wrong_order_residuals(
+            off_middle, POINTS, NORMALS, [1], period_px=period, angle=TURNED
+        )
         errors.append(np.abs(seen[:, 0] - (1 - rho)).max())
     assert errors[0] < 0.04
     assert errors[1] < 0.012 * errors[0]
@@ -196,17 +208,17 @@ def test_the_first_order_holds_for_short_steps(designed: Rig) -> None:
 
 @pytest.mark.parametrize("angle", [0.0, TURNED])
 def test_the_standard_deviation_follows_from_the_response_to_each_error(
-    designed: Rig, angle: float
+    off_middle: Rig, angle: float
 ) -> None:
     quality = Quality(noise=0.02, n_shifts=4, calibration_px=0.2)
     step = 1e-4
     for point, normal in zip(POINTS, NORMALS, strict=True):
-        straight = found_residual(designed, point, normal, 0, angle)
+        straight = found_residual(off_middle, point, normal, 0, angle)
         assert straight == pytest.approx(0.0, abs=1e-8)
         noise = math.sqrt(2 / 4) * 0.02 / (2 * math.pi)
 
         def response(**error: ArrayLike) -> float:
-            return (found_residual(designed, point, normal, 0, angle, **error) - straight) / step  # type: ignore[arg-type] # noqa: B023
+            return (found_residual(off_middle, point, normal, 0, angle, **error) - straight) / step  # type: ignore[arg-type] # noqa: B023
 
         parts = [
             noise * response(e1=step),
@@ -216,7 +228,7 @@ def test_the_standard_deviation_follows_from_the_response_to_each_error(
             0.2 * response(displaced=(0.0, step)),
             0.0015,
         ]
-        sight = sight_of(designed, point, period_px=PERIOD, angle=angle)
+        sight = sight_of(off_middle, point, period_px=PERIOD, angle=angle)
         sigma = float(residual_sigma(sight, normal, quality, period_px=PERIOD))
         assert sigma == pytest.approx(math.sqrt(sum(part**2 for part in parts)), rel=2e-3)
         assert image_gradient(sight, normal)[0] == pytest.approx(parts[3] / 0.2, abs=1e-4)
@@ -290,17 +302,17 @@ def random_surfaces(rig: Rig, n: int, slope_deg: float) -> tuple[Floats, Floats]
     return points[ok], normals[ok]
 
 
-def test_no_surface_has_less_than_the_worst_margin(designed: Rig) -> None:
-    """0.07 periods for slopes up to 20 deg, as the preset promises; none of 2000 is worse."""
-    found = ambiguity_margins(designed, period_px=PERIOD, step_px=64, quality=EXACT)
+def test_no_surface_has_less_than_the_worst_margin(off_middle: Rig) -> None:
+    """0.07 periods for slopes up to 20 deg, beside C2; none of 2000 surfaces has less."""
+    found = ambiguity_margins(off_middle, period_px=PERIOD, step_px=64, quality=EXACT)
     assert found.worst_margin[-1] > 0.07
     assert (np.diff(found.worst_margin) <= 0).all()
-    points, normals = random_surfaces(designed, 2000, 20.0)
+    points, normals = random_surfaces(off_middle, 2000, 20.0)
     orders = found.orders
-    seen = wrong_order_residuals(designed, points, normals, orders, period_px=PERIOD)
-    wrong = wrong_points(designed, points, orders, period_px=PERIOD)
-    assert designed.volume is not None
-    rest = np.abs(seen - np.rint(seen))[designed.volume.contains(wrong)]
+    seen = wrong_order_residuals(off_middle, points, normals, orders, period_px=PERIOD)
+    wrong = wrong_points(off_middle, points, orders, period_px=PERIOD)
+    assert off_middle.volume is not None
+    rest = np.abs(seen - np.rint(seen))[off_middle.volume.contains(wrong)]
     assert rest.min() > found.worst_margin[-1] - 0.002  # the grid misses the very corners
     assert rest.min() < found.worst_margin[-1] + 0.02
 
@@ -330,43 +342,43 @@ def test_without_a_wrong_order_in_the_volume_half_a_period_is_left() -> None:
     assert set(table.orders) == {1, -1}
 
 
-def test_a_calibration_twice_as_bad_halves_the_ratio(designed: Rig) -> None:
+def test_a_calibration_twice_as_bad_halves_the_ratio(off_middle: Rig) -> None:
     ratios = [
-        ambiguity_margins(designed, period_px=PERIOD, step_px=128,
+        ambiguity_margins(off_middle, period_px=PERIOD, step_px=128,
                           quality=Quality(noise=0.0, calibration_px=c)).worst_ratio
         for c in (0.2, 0.4)
     ]  # fmt: skip
     assert ratios[0] / ratios[1] == pytest.approx(2.0, rel=0.02)  # the floor of 0.0015 periods
 
 
-def test_moving_the_world_changes_nothing(designed: Rig) -> None:
+def test_moving_the_world_changes_nothing(off_middle: Rig) -> None:
     turn = Rotation.from_rotvec([0.4, -0.8, 1.1]).as_matrix()
     there = RigidTransform(rotation=turn, translation=[30.0, -70.0, 500.0])
 
     def moved(device: Device) -> Device:
         return replace(device, device_from_world=device.device_from_world @ there.inverse())
 
-    assert designed.volume is not None
-    assert designed.projector is not None
-    normals = there.rotate(designed.volume.normals)
-    offsets = designed.volume.offsets_mm + normals @ there.translation
+    assert off_middle.volume is not None
+    assert off_middle.projector is not None
+    normals = there.rotate(off_middle.volume.normals)
+    offsets = off_middle.volume.offsets_mm + normals @ there.translation
     rig = Rig(
-        cameras=tuple(moved(camera) for camera in designed.cameras),
-        projector=moved(designed.projector),
+        cameras=tuple(moved(camera) for camera in off_middle.cameras),
+        projector=moved(off_middle.projector),
         volume=MeasuringVolume(normals=normals, offsets_mm=offsets),
     )
-    here = ambiguity_margins(designed, period_px=PERIOD, step_px=128)
+    here = ambiguity_margins(off_middle, period_px=PERIOD, step_px=128)
     away = ambiguity_margins(rig, period_px=PERIOD, step_px=128)
     np.testing.assert_allclose(away.margin, here.margin, atol=1e-6)
     np.testing.assert_array_equal(away.order, here.order)
     np.testing.assert_allclose(away.facing, there.rotate(here.facing), atol=1e-9)
 
 
-def test_slopes_count_from_the_given_direction(designed: Rig) -> None:
-    upright = ambiguity_margins(designed, period_px=PERIOD, step_px=128, facing=[0, 0, 5.0])
+def test_slopes_count_from_the_given_direction(off_middle: Rig) -> None:
+    upright = ambiguity_margins(off_middle, period_px=PERIOD, step_px=128, facing=[0, 0, 5.0])
     assert upright.facing.tolist() == [0, 0, 1]
-    own = ambiguity_margins(designed, period_px=PERIOD, step_px=128)
-    np.testing.assert_allclose(own.facing, facing_direction(designed, [0.0, 0.0, 0.0]), atol=1e-3)
+    own = ambiguity_margins(off_middle, period_px=PERIOD, step_px=128)
+    np.testing.assert_allclose(own.facing, facing_direction(off_middle, [0.0, 0.0, 0.0]), atol=1e-3)
     assert upright.worst_margin[-1] != pytest.approx(own.worst_margin[-1], abs=1e-4)
 
 

@@ -22,7 +22,7 @@ from fringe3d.design.optimise import Candidate, Optimisation, optimise
 from fringe3d.design.reference import reference_of
 from fringe3d.design.residual import Quality, wrong_order_residuals
 from fringe3d.design.screen import screen
-from fringe3d.design.search import Limits
+from fringe3d.design.search import Limits, Task, refine, survey
 from fringe3d.design.stand import stand_of
 from fringe3d.design.uncertainty import phase_noise, predict_uncertainty
 from fringe3d.errors import RigError
@@ -204,6 +204,24 @@ def test_all_candidates_but_the_papers_keep_the_limits(found: Optimisation) -> N
         assert found.limits is COARSE
 
 
+@pytest.mark.parametrize("limits", [
+    Limits(spacing=0.2, n_starts=1, max_price=1.1),
+    Limits(spacing=0.2, n_starts=1, min_separation=math.radians(20.0)),
+])  # fmt: skip
+def test_narrow_limits_are_kept_while_places_are_refined(kolibri: Rig, limits: Limits) -> None:
+    """The best place without them costs 1.5 times as much, and stands 12 deg from a camera."""
+    task = Task.of(kolibri, period_px=PERIOD, angle=0.0, slopes_deg=(20.0,), quality=QUALITY,
+                   limits=limits, beyond=0.0)  # fmt: skip
+    place = refine(task, "moved and turned", survey(task))
+    assert place is not None
+    moved = task.stand.placed(kolibri, place.tilt, place.azimuth)
+    sigma = predict_uncertainty(moved, period_px=PERIOD, sigma_phase=phase_noise(4, 0.01),
+                                angle=place.angle, step=32)  # fmt: skip
+    assert sigma.median_mm / task.sigma_mm <= limits.max_price + 1e-3
+    assert task.stand.separation(moved) >= limits.min_separation - 1e-3
+    assert place.tilt <= limits.max_tilt + 1e-3
+
+
 def test_each_kind_changes_only_what_it_may(kolibri: Rig, found: Optimisation) -> None:
     assert kolibri.projector is not None
     assert by_name(found, "turned").rig is kolibri
@@ -217,6 +235,18 @@ def test_each_kind_changes_only_what_it_may(kolibri: Rig, found: Optimisation) -
     one = by_name(found, "one period")
     assert one.periods < 1
     assert one.price <= free.price + 0.01
+
+
+def test_the_designed_preset_does_without_a_code() -> None:
+    """As the optimiser promises: no wrong order, and enough certainty for slopes up to 40 deg."""
+    preset = PRESETS["designed"]((640, 512))
+    margins = ambiguity_margins(
+        preset.rig, period_px=PERIOD, angle=preset.fringe_angle, slopes_deg=(0, 40), step_px=64
+    )
+    assert not len(margins.orders)
+    assert margins.worst_ratio[-1] >= 6
+    stand = stand_of(preset.rig)
+    assert stand.separation(preset.rig) >= math.radians(8.0)
 
 
 def test_the_papers_way_is_the_angle_without_code(kolibri: Rig, found: Optimisation) -> None:
@@ -288,10 +318,10 @@ def test_the_table_has_a_row_for_each_candidate(found: Optimisation) -> None:
 
 
 def test_predicted_residuals_are_found_in_images() -> None:
-    """A prism seen by the designed rig, true normals. Next to its edges, on one pixel of ten, C2
+    """A prism, the projector beside C2, true normals. Next to its edges, on one pixel of ten, C2
     looks past the facet that is predicted from."""
-    preset = PRESETS["designed"]((320, 256))
-    rig = preset.rig
+    preset = PRESETS["kolibri"]((320, 256))
+    rig = stand_of(preset.rig).placed(preset.rig, *np.radians([30.0, 23.0]))
     assert rig.projector is not None
     stage = prepare(rig, preset.scene(OBJECTS["prism"]()), Setup(n_rays=1))
     plan = PatternPlan(patterns=fringes(PERIOD, 4), projector_shape=rig.projector.shape)

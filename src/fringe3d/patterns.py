@@ -285,6 +285,7 @@ def method_plan(
     period_px: float,
     n_shifts: int = 4,
     reduced_bits: int = 2,
+    angle: float = 0.0,
 ) -> PatternPlan:
     """Return the images that a method of the source paper needs.
 
@@ -296,6 +297,7 @@ def method_plan(
     period_px : float, projector px
     n_shifts : int, >= 3
     reduced_bits : int; of the reduced code, which has one image more (over-determined)
+    angle : float, rad; of the fringes; a second direction is square to it
 
     Examples
     --------
@@ -303,7 +305,7 @@ def method_plan(
     ...  for m in ("m0", "m1", "m2", "m3", "m4")]
     [48, 25, 21, 16, 32]
     """
-    two = (0.0, math.pi / 2)
+    two = (angle, angle + math.pi / 2)
     choices: dict[str, dict[str, Any]] = {
         "m0": {"angles": two, "light_dark": True},
         "m1": {"light_dark": True},
@@ -315,4 +317,6 @@ def method_plan(
     }
     if method not in choices:
         raise ValueError(f"plan: expected one of {', '.join(choices)}, found '{method}'")
-    return sequence(shape, periods_px=(period_px,), n_shifts=n_shifts, **choices[method])
+    return sequence(
+        shape, periods_px=(period_px,), n_shifts=n_shifts, **({"angles": (angle,)} | choices[method])
+    )

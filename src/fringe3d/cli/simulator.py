@@ -152,6 +152,7 @@ def _plan(options: SimulateOptions, preset: Preset) -> PatternPlan:
         period_px=options.period_px or preset.period_px,
         n_shifts=options.steps,
         reduced_bits=preset.reduced_bits,
+        angle=preset.fringe_angle,
     )
 
 

@@ -39,8 +39,8 @@ def draw_tradeoff(path: Path, found: Optimisation, /, *, title: str) -> None:
     image = _draw_places(axes[0, 0], found, land.ratio[:, 0])
     axes[0, 0].set_title(f"fringes at {given:.0f} deg, as given", loc="left")
     _draw_places(axes[0, 1], found, best)
-    price = f"sigma up to {_percent(found.limits.max_price)} of the given"
-    axes[0, 1].set_title(f"best fringe angle of each place, {price}", loc="left")
+    price = f"(sigma up to {_percent(found.limits.max_price)})"
+    axes[0, 1].set_title(f"best fringe angle of each place {price}", loc="left")
     label = f"worst margin / sigma, slopes up to {steepest:.0f} deg"
     figure.colorbar(image, ax=axes[0], shrink=0.85, pad=0.01, label=label)
     _draw_slopes(axes[1, 0], found)
@@ -159,8 +159,8 @@ def _draw_price(axis: Axes, found: Optimisation) -> None:
     axis.axhline(NEEDED_RATIO, color="#999999", linewidth=1)
     axis.axvline(1000 * land.max_sigma_mm, color="#999999", linewidth=1, linestyle="--")
     axis.annotate(f"{_percent(found.limits.max_price)} of the given",
-                  (1000 * land.max_sigma_mm, 0.99), xycoords=("data", "axes fraction"),
-                  xytext=(-3, 0), textcoords="offset points", ha="right", va="top", rotation=90,
+                  (1000 * land.max_sigma_mm, 0.3), xycoords=("data", "axes fraction"),
+                  xytext=(5, 0), textcoords="offset points", ha="left", va="center", rotation=90,
                   fontsize=9, color="#666666")  # fmt: skip
     for number, candidate in enumerate(found.candidates):
         _mark(axis, np.array([1000 * candidate.sigma_mm, candidate.ratio]), number)

@@ -35,6 +35,7 @@ class Preset:
     reduced_bits : int; a cyclic Gray code of so many bits numbers the periods on a segment, and
         40 % more: the table below the volume is seen, too
     diameter_mm, height_mm : float, mm; of the measuring volume, about the origin
+    fringe_angle : float, rad; fringes that suit it
     """
 
     name: str
@@ -44,6 +45,7 @@ class Preset:
     reduced_bits: int
     diameter_mm: float
     height_mm: float
+    fringe_angle: float = 0.0
 
     @property
     def table_mm(self) -> float:
@@ -144,6 +146,7 @@ def _kolibri_like(
     *,
     reduced_bits: int = 3,
     n_cameras: int = 2,
+    fringe_angle_deg: float = 0.0,
 ) -> Preset:
     """Return the rig of the source paper with its projector at another place."""
     cameras = [above(27.0, azimuth, 335.0) for azimuth in (-31.0, 31.0)]
@@ -157,7 +160,8 @@ def _kolibri_like(
         name=name,
     )
     return Preset(name=name, about=about, rig=rig, period_px=16.0, reduced_bits=reduced_bits,
-                  diameter_mm=80.0, height_mm=25.0)  # fmt: skip
+                  diameter_mm=80.0, height_mm=25.0,
+                  fringe_angle=float(np.radians(fringe_angle_deg)))  # fmt: skip
 
 
 def kolibri(camera_size: tuple[int, int] = (640, 512)) -> Preset:
@@ -191,15 +195,16 @@ def _towards(
 
 def designed(camera_size: tuple[int, int] = (640, 512)) -> Preset:
     """Return a rig whose projector stands where four images tell all periods apart."""
-    about = "the projector off the middle: four images, no Gray code, over the whole volume"
+    about = "projector and turned fringes by the optimiser: four images, no Gray code"
     return _kolibri_like(
-        "designed", about, above(*DESIGNED_PLACE, 335.0), camera_size, reduced_bits=3
-    )
+        "designed", about, above(*DESIGNED_PLACE, 335.0), camera_size, reduced_bits=1,
+        fringe_angle_deg=DESIGNED_FRINGES_DEG,
+    )  # fmt: skip
 
 
-DESIGNED_PLACE = (30.0, 23.0)
-"""Tilt and azimuth, deg. A wrong order leaves at least 0.07 periods of residual in C2, for slopes
-up to 20 deg; on `kolibri` it leaves nothing."""
+DESIGNED_PLACE, DESIGNED_FRINGES_DEG = (34.9, -24.2), 20.3
+"""Tilt, azimuth and angle of the fringes, as ``fringe3d design kolibri --optimise`` recommends: 8.6
+deg from C1, fringes so nearly along its epipolar lines that a segment holds less than a period."""
 
 
 def single(camera_size: tuple[int, int] = (640, 512)) -> Preset:
