@@ -56,9 +56,7 @@ def small_rig(*, projector_azimuth_deg: float = -12.0, projector_tilt_deg: float
 def _above(tilt_deg: float, azimuth_deg: float) -> RigidTransform:
     """Return the pose of a device that looks at the origin, its rows along the world's x."""
     tilt, azimuth = np.radians([tilt_deg, azimuth_deg])
-    back = np.array(
-        [np.sin(tilt) * np.sin(azimuth), -np.sin(tilt) * np.cos(azimuth), np.cos(tilt)]
-    )
+    back = np.array([np.sin(tilt) * np.sin(azimuth), -np.sin(tilt) * np.cos(azimuth), np.cos(tilt)])
     right = np.array([1.0, 0.0, 0.0]) + back[0] * -back
     right /= np.linalg.norm(right)
     rotation = np.stack([right, np.cross(-back, right), -back])
@@ -178,7 +176,7 @@ def phase_map(
     return PhaseMap(
         phase=np.where(lit, 2 * np.pi * (turns - order), np.nan),
         order_class=np.where(lit, order % cycle, NO_ORDER),
-        class_of_order=np.arange(n_orders) % cycle,
+        class_of_order=np.arange(n_orders, dtype=np.int32) % np.int32(cycle),
         phase_std=np.full(lit.shape, std),
         offset=np.full(lit.shape, 100.0),
         modulation=np.full(lit.shape, 80.0),

@@ -9,13 +9,12 @@ from functools import cache
 import numba
 import numpy as np
 import pytest
+from closed_phases import cv_project, cv_rays, grid_of, small_rig
 
 from closed_form import SphereScene, Truth, simulate
-from closed_phases import cv_project, cv_rays, grid_of, small_rig
 from fringe3d.errors import MethodError
 from fringe3d.methods import Choice, choose_method, images_of, settle
 from fringe3d.model import (
-    Fringe,
     GrayBit,
     ImageStack,
     MeasuringVolume,
@@ -39,7 +38,14 @@ CODE_Y: tuple[Pattern, ...] = gray_code(8.0, 7, angle=DOWN)
 REDUCED: tuple[Pattern, ...] = gray_code(8.0, 3)
 
 SCENE = SphereScene(center_mm=(2.0, -2.0, -3.0), radius_mm=6.0)
+PLAIN = replace(SCENE, center_mm=(0.0, 0.0, -50.0))
+"""The plane alone, at z = -8 mm."""
+
 N_ORDERS = 64
+
+ASLANT = float(np.arctan(0.38))
+"""Fringe angle, rad. C2's curves run along the projector's rows: whole periods of one direction are
+0.38, 0.76 ... periods of the other, never nearly whole ones up to the seventh."""
 
 
 @pytest.fixture(autouse=True, scope="module")
@@ -79,12 +85,19 @@ def stacks_of(plan: PatternPlan, n_cameras: int = 2) -> list[ImageStack]:
 
 def phases_with(n_classes: int) -> PhaseMap:
     """Return a phase map of one pixel whose code tells so many periods apart."""
-    one = np.ones((1, 1))
+    one = np.ones((1, 1), np.float32)
     return PhaseMap(
-        phase=one, order_class=0 * one, class_of_order=np.arange(N_ORDERS) % n_classes,
-        phase_std=0.01 * one, offset=100 * one, modulation=80 * one, rejection=0 * one,
-        period_px=16.0, angle=0.0, device_name="c1",
-    )  # fmt: skip
+        phase=one,
+        order_class=np.zeros((1, 1), np.int32),
+        class_of_order=np.arange(N_ORDERS, dtype=np.int32) % np.int32(n_classes),
+        phase_std=np.float32(0.01) * one,
+        offset=one,
+        modulation=one,
+        rejection=np.zeros((1, 1), np.uint16),
+        period_px=16.0,
+        angle=0.0,
+        device_name="c1",
+    )
 
 
 def outcome(rig: Rig | None, plan: PatternPlan, asked: str, n_classes: int) -> Choice:
@@ -139,7 +152,7 @@ def test_method_of_plan_and_rig(
         ("wide", (X, CODE_X, Y), 64, "m0", r"Gray code in both directions, found 1.*m1 or m4"),
         ("wide", (X, CODE_X, Y, CODE_Y), 4, "m0", r"--method m0: .*4 of 64 periods.*--method m2"),
         ("wide", (X,), 1, "m1", r"--method m1: expected a Gray code.*m5 or m3.*record the code"),
-        ("wide", (X, Y), 1, "m2", r"--method m2: expected a Gray code.*--method m4"),
+        ("wide", (X, Y), 1, "m1", r"--method m1: expected a full Gray code.*1 of 64.*--method m2"),
         ("wide", (X, REDUCED), 4, "m1", r"4 of 64 periods apart.*--method m2.*--depth"),
         ("wide", (X, CODE_X), 64, "m2", r"a reduced Gray code, found a full one.*--gray-bits"),
         ("wide", (X, REDUCED), 2, "m2", r"up to 2 periods.*2 cyclic code images \(3 if"),
@@ -160,7 +173,7 @@ def test_method_that_is_not_possible_is_refused(
         outcome(rig_named(rig), plan_of(*parts), asked, n_classes)
 
 
-# --- images ----------------------------------------------------------------------------------------
+# --- images --------------------------------------------------------------------------------
 
 
 def kept(method: str, plan: PatternPlan, rig: Rig | None, **options: object) -> list[Pattern]:
@@ -193,7 +206,8 @@ def test_m2_takes_what_was_recorded_where_it_cannot_know() -> None:
 def twins_by_counting(rig: Rig, told_apart: int) -> float:
     """Return which part of the points has a twin, by trying points along the projected rays.
 
-    The volume is a wide box: every ray enters at its top and leaves at its bottom.
+    Twins may lie beyond the volume by two fifths of a segment. The volume is a wide box: every
+    ray enters at its top and leaves at its bottom.
     """
     assert rig.projector is not None
     assert rig.volume is not None
@@ -208,12 +222,13 @@ def twins_by_counting(rig: Rig, told_apart: int) -> float:
     n_points = n_twins = 0
     for periods in length:
         at = np.arange(0.0005, periods, 0.001)
-        below, above = at - told_apart >= -guard, at + told_apart <= periods + guard
+        reach = guard + 0.4 * periods
+        below, above = at - told_apart >= -reach, at + told_apart <= periods + reach
         n_points, n_twins = n_points + len(at), n_twins + int((below | above).sum())
     return n_twins / n_points
 
 
-@pytest.mark.parametrize(("half_height_mm", "bits"), [(3.0, 1), (5.0, 1), (10.0, 2), (25.0, 3)])
+@pytest.mark.parametrize(("half_height_mm", "bits"), [(3.0, 1), (5.0, 2), (10.0, 3), (25.0, 4)])
 def test_m2_of_a_full_code_keeps_the_finest_bits_that_segments_need(
     half_height_mm: float, bits: int
 ) -> None:
@@ -237,7 +252,7 @@ def test_light_and_dark_images_are_left_out() -> None:
     assert left.images[:, 0, 0].tolist() == list(range(2, 13))
 
 
-# --- measurements ------------------------------------------------------------------------------------
+# --- measurements --------------------------------------------------------------------------------
 
 
 @cache
@@ -245,9 +260,13 @@ def recorded(name: str, *parts: str) -> tuple[Scan, tuple[Truth, ...]]:
     rig = small_rig(projector_azimuth_deg=0.0, projector_tilt_deg=40.0) if name == "above" else (
         rig_named(name))  # fmt: skip
     assert rig is not None
-    all_parts = {"x": X, "y": Y, "code": CODE_X, "light": LIGHT_DARK}
+    turned = [fringes(16.0, 4, angle=ASLANT + square) for square in (0.0, DOWN)]
+    all_parts: dict[str, tuple[Pattern, ...]] = {
+        "x": X, "y": Y, "code": CODE_X, "light": LIGHT_DARK, "u": turned[0], "v": turned[1]
+    }  # fmt: skip
     plan = plan_of(*(all_parts[p] for p in parts))
-    return simulate(rig, plan, SCENE, np.random.default_rng(7))
+    scene = PLAIN if name == "narrow" else SCENE
+    return simulate(rig, plan, scene, np.random.default_rng(7))
 
 
 def off_mm(result: Measurement, truth: Truth) -> np.ndarray:
@@ -272,13 +291,14 @@ def test_m2_of_a_full_code_equals_measuring_with_its_finest_bits() -> None:
     code = [len(code.bits) for code in images_of(
         Choice("m2", ""), scan.stacks[0], scan.rig, scan.rig.volume if scan.rig else None,
         MeasureOptions()).plan.gray_sets]  # fmt: skip
-    assert code == [2]
-    same_points(asked, measure(scan, MeasureOptions(gray_bits=2)))
+    assert code == [3]
+    same_points(asked, measure(scan, MeasureOptions(gray_bits=3)))
     full = measure(scan, MeasureOptions(method="m1"))
     assert (off_mm(asked, truths[0]) > 0.2).mean() < 0.002
     assert full.points is not None
     assert asked.points is not None
-    assert asked.points.is_valid.sum() > 0.99 * full.points.is_valid.sum()
+    # Beside the borders of C2 neighbours have no evidence; in so small an image that is 3 %.
+    assert asked.points.is_valid.sum() > 0.96 * full.points.is_valid.sum()
 
 
 def test_light_and_dark_images_are_not_needed() -> None:
@@ -290,7 +310,7 @@ def test_light_and_dark_images_are_not_needed() -> None:
 
 def test_m4_without_projector() -> None:
     """Lit from outside the plane of the cameras, both phases mark one point of the curve."""
-    scan, truths = recorded("above", "x", "y")
+    scan, truths = recorded("above", "u", "v")
     assert scan.rig is not None
     for rig in (scan.rig, replace(scan.rig, projector=None)):
         result = measure(replace(scan, rig=rig), MeasureOptions(method="m4"))
@@ -300,22 +320,26 @@ def test_m4_without_projector() -> None:
         assert len(wrong) > 0.7 * truths[0].lit.sum()
 
 
+def test_m5_on_a_narrow_rig() -> None:
+    """With the projector beside C1 no segment in it reaches a period: one candidate."""
+    scan, truths = recorded("narrow", "x")
+    for options in (MeasureOptions(), MeasureOptions(method="m5")):
+        result = measure(scan, options)
+        assert result.method == "m5"
+        assert (off_mm(result, truths[0]) > 0.2).mean() < 0.005
+        assert len(off_mm(result, truths[0])) > 0.7 * truths[0].lit.sum()
+
+
 def test_m5_without_projector() -> None:
-    """Of the segment in C2 the volume leaves less than a period of the phase: one crossing."""
+    """Without its model the segment in C2 must be below a period; where not, that is said."""
     scan, truths = recorded("narrow", "x")
     assert scan.rig is not None
-    result = measure(scan, MeasureOptions(method="m5"))
+    blind = replace(scan.rig, projector=None)
+    with pytest.raises(MethodError, match=r"fit several points.*--depth"):
+        measure(replace(scan, rig=blind), MeasureOptions(method="m5"))
+    # 16 px of the projector are 1.7 mm on the plane, and C2 sees them at 54 deg / 2 from the side.
+    flat = MeasuringVolume.box([-40, -40, -8.6], [40, 40, -7.4])
+    short = replace(scan, rig=replace(blind, volume=flat))
+    result = measure(short, MeasureOptions(method="m5"))
     assert (off_mm(result, truths[0]) > 0.2).mean() < 0.005
     assert len(off_mm(result, truths[0])) > 0.7 * truths[0].lit.sum()
-    assert measure(scan).method == "m5"
-    blind = replace(scan, rig=replace(scan.rig, projector=None))
-    result = measure(blind, MeasureOptions(method="m5"))
-    assert (off_mm(result, truths[0]) > 0.2).mean() < 0.005
-    assert len(off_mm(result, truths[0])) > 0.7 * truths[0].lit.sum()
-
-
-def test_patterns_of_the_plans() -> None:
-    """What the tables above rest on: 64 periods, 7 bits of half a period each."""
-    assert all(isinstance(p, Fringe) for p in X + Y)
-    assert len(CODE_X) == 7
-    assert 1024 / 16 == N_ORDERS

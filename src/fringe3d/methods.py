@@ -26,6 +26,7 @@ import numpy as np
 from fringe3d.decode import has_mirrored_neighbours
 from fringe3d.decode.order import order_table
 from fringe3d.design import gray_needs, guard_periods, periods_on_projector, twin_part
+from fringe3d.design.gray import BEYOND
 from fringe3d.errors import MethodError
 from fringe3d.model import (
     Fringe,
@@ -92,6 +93,8 @@ def choose_method(
         return Choice("m1", "two cameras and a code")
     if len(plan.angles) > 1:
         return Choice("m4", "two cameras, no code, fringes of two directions")
+    if rig.projector is None:
+        return Choice("m5", "two cameras, fringes alone, no calibrated projector")
     return Choice("m3", "two cameras, no code, fringes of one direction")
 
 
@@ -178,7 +181,10 @@ def images_of(
 
 
 def _bits_needed(plan: PatternPlan, angle: float, rig: Rig, volume: MeasuringVolume) -> int:
-    """Return how many of the finest code images leave hardly any twins on a segment."""
+    """Return how many of the finest code images leave hardly any twins on a segment.
+
+    Surfaces beyond the volume, as the table, are counted: one image more costs little.
+    """
     assert rig.projector is not None
     code = next(g for g in plan.gray_sets if g.angle == angle)
     period = min(f.period_px for f in plan.fringe_sets if f.angle == angle)
@@ -190,7 +196,7 @@ def _bits_needed(plan: PatternPlan, angle: float, rig: Rig, volume: MeasuringVol
         )  # fmt: skip
         table = order_table(shorter.gray_sets[0], period, extent)
         told_apart = _told_apart(table.classes.class_of_order)
-        if _twins(rig, volume, period, angle, told_apart) <= MOST_TWINS / 10:
+        if _twins(rig, volume, period, angle, told_apart, beyond=BEYOND) <= MOST_TWINS / 10:
             return bits
     return len(code.bits)
 
@@ -202,11 +208,17 @@ def _told_apart(class_of_order: np.ndarray) -> int:
 
 
 def _twins(
-    rig: Rig, volume: MeasuringVolume, period_px: float, angle: float, told_apart: int
+    rig: Rig,
+    volume: MeasuringVolume,
+    period_px: float,
+    angle: float,
+    told_apart: int,
+    *,
+    beyond: float = 0.0,
 ) -> float:
     """Return the part of the points that have a second order of their class on the segment."""
     periods = _periods(rig, volume, period_px, angle)
-    return twin_part(periods, math.log2(told_apart), guard=_guard(period_px))
+    return twin_part(periods, math.log2(told_apart), guard=_guard(period_px), beyond=beyond)
 
 
 def _guard(period_px: float) -> float:

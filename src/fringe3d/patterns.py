@@ -317,6 +317,5 @@ def method_plan(
     }
     if method not in choices:
         raise ValueError(f"plan: expected one of {', '.join(choices)}, found '{method}'")
-    return sequence(
-        shape, periods_px=(period_px,), n_shifts=n_shifts, **({"angles": (angle,)} | choices[method])
-    )
+    options = {"angles": (angle,)} | choices[method]
+    return sequence(shape, periods_px=(period_px,), n_shifts=n_shifts, **options)

@@ -19,6 +19,7 @@ from fringe3d.health import (
     check_epipolar,
     check_files,
     check_phases,
+    check_probability,
     check_texture,
     check_trinocular,
     check_twins,
@@ -70,6 +71,7 @@ class Measurement:
     ----------
     method : str; the method used, or "phase" where there is no rig
     why : str; why this method was taken
+    n_images : int; of each camera, that the method used
     phases : tuple of CameraPhases
     matches : Correspondences or None
     points : PointMap or None
@@ -79,6 +81,7 @@ class Measurement:
 
     method: str
     why: str
+    n_images: int
     phases: tuple[CameraPhases, ...]
     matches: Correspondences | None = None
     points: PointMap | None = None
@@ -140,9 +143,14 @@ def measure(
             phases = best_direction_first(phases, *_devices(scan.rig, stacks, choice.method))
     main = phases[0].directions[0].main
     choice = settle(choice, main, scan.rig, volume, options)
+    result = Measurement(
+        method=choice.method,
+        why=choice.why,
+        n_images=stacks[0].plan.n_images,
+        phases=phases,
+        findings=tuple(findings),
+    )
     if scan.rig is None:
-        result = Measurement(method=choice.method, why=choice.why, phases=phases,
-                             findings=tuple(findings))  # fmt: skip
         return _finish(result, clock)
 
     camera, other = _devices(scan.rig, stacks, choice.method)
@@ -151,6 +159,7 @@ def measure(
         matches = match(phases, camera, other, projector, volume, method=choice.method,
                         options=options)  # fmt: skip
         findings += _refuse(check_ambiguity(matches, main), MethodError)
+        findings += check_probability(matches)
         if other.role == "projector" and not main.is_absolute and volume is not None:
             findings += check_twins(twin_share(main, camera, other, volume))
     with clock("triangulating"):
@@ -165,8 +174,7 @@ def measure(
             if projector is not None:
                 findings += check_trinocular(points, main, projector)
         points = remove_repeated(_clean(points, options, main), matches)
-    result = Measurement(method=choice.method, why=choice.why, phases=phases, matches=matches,
-                         points=points, findings=tuple(findings))  # fmt: skip
+    result = replace(result, matches=matches, points=points, findings=tuple(findings))
     return _finish(result, clock)
 
 

@@ -33,7 +33,7 @@ def measure(
     strict: Annotated[bool, Parameter(negative=())] = False,
     drop_edges: Annotated[bool, Parameter(negative=())] = False,
     min_modulation: Annotated[float | None, Parameter(validator=at_least(0))] = None,
-    min_probability: Annotated[float | None, Parameter(validator=at_least(0))] = None,
+    min_probability: Annotated[float | None, Parameter(validator=at_least(0, 1))] = None,
     overwrite: Overwrite = False,
     as_json: Json = False,
 ) -> None:
@@ -74,7 +74,8 @@ def measure(
     min_modulation
         Smallest fringe contrast, grey levels.
     min_probability
-        Reject fringe orders that are less probable, 0 to 1; 0 takes the best that fits.
+        Reject fringe orders that are less probable, 0 to 1: 0.9 by default, 0.99 if strict; 0 takes
+        the best that fits.
     """
     from fringe3d.io.atomic import require_writable
     from fringe3d.io.importing import parse_depth
@@ -103,8 +104,8 @@ def measure(
         result = run(recording, options, stage=reporter.stage)
         reporter.stage("writing")
         write_result(out, recording, options, result, request=request, overwrite=overwrite)
-    if method == "auto":
-        reporter.note(f"method {result.method}: {result.why}")
+    if result.method != "phase":
+        reporter.note(f"method {result.method} with {result.n_images} images: {result.why}")
     for finding in result.warnings:
         reporter.warn(finding.text)
     record = measure_record(recording, options, result, request=request) | {"out": str(out)}

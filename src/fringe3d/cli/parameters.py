@@ -23,13 +23,14 @@ Json = Annotated[bool, Parameter(name="--json", negative=(), help="Print the res
 Overwrite = Annotated[bool, Parameter(negative=(), help="Replace what is there.")]
 
 
-def at_least(low: float, /) -> Callable[[type, Any], None]:
+def at_least(low: float, high: float = math.inf, /) -> Callable[[type, Any], None]:
     """Return a check that a number, or each of several, is finite and not below `low`."""
 
     def check(_type: type, value: Any) -> None:
         for number in value if isinstance(value, list) else [value]:
-            if number is not None and not low <= number < math.inf:
-                raise ValueError(f"Expected a number of at least {low:g}.")
+            if number is not None and not (low <= number <= high and number < math.inf):
+                upto = "" if high == math.inf else f" and at most {high:g}"
+                raise ValueError(f"Expected a number of at least {low:g}{upto}.")
 
     return check
 

@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numba import njit, prange
 
-from fringe3d.correspond._phase import TWO_PI, phase_difference
+from fringe3d.correspond._phase import TWO_PI, largest_sigma, phase_difference
 from fringe3d.geometry._lens import project_normalized
 
 SHEET_STEPS = 8
@@ -18,16 +18,19 @@ SHEET_TOLERANCE_PX = 1e-5
 MODEL_ERROR = 0.0015
 """Periods; what remains of harmonics and interpolation where everything else is perfect."""
 
+MOST_SIGMA = 1 / 12
+"""Periods; residuals that are less certain reject nothing: six deviations are half a period."""
+
 DEPTH_STEP = 1e-4
 """Part of the depth by which a point is moved to find its speed in an image."""
 
 UNSEEN_COST = 12.0
 """A candidate that C2 does not see is as good as one that it sees 3.5 standard deviations off."""
 
-DEPTH, COST, INSIDE, RESIDUAL, SIGMA, SLOPE, RATIO = range(7)
+DEPTH, COST, INSIDE, RESIDUAL, SIGMA, SLOPE, RATIO, GRADIENT = range(8)
 """Columns of the result of `describe`."""
 
-N_COLUMNS = 7
+N_COLUMNS = 8
 
 
 @njit(cache=True, error_model="numpy")
@@ -89,12 +92,13 @@ def _same_class(x, y, phase, order, phase2, class2, class_of_order, first_order)
 
 @njit(cache=True, error_model="numpy")
 def _judge(t, i, order, ray1, ray2, axis, period, first, second, errors, bias):  # type: ignore[no-untyped-def]
-    """Return two costs, residual and sigma (periods), slope (rad / px) and ratio of a candidate.
+    """Return two costs, residual, sigma (periods), slope, ratio and gradient of a candidate.
 
     A cost is a squared residual over its own variance: that of C2, and that of the second direction
     in the projector. Where C2 sees nothing, or another class of orders, the residual is NaN and the
-    first cost that of a hidden point. The ratio is that of the phases that C2 and the projector
-    have along the ray.
+    first cost that of a hidden point. Slope and gradient, rad / px, are of the phase in C2,
+    along the curve and in all; the ratio is that of the phases that C2 and the projector have along
+    the ray.
     """
     base_p, along_p, lens_p = ray1
     base_2, along_2, lens_2 = ray2
@@ -113,15 +117,18 @@ def _judge(t, i, order, ray1, ray2, axis, period, first, second, errors, bias): 
     if math.isnan(difference) or not _same_class(
         x, y, phase1[i] + difference, order, phase2, class2, class_of_order, first_order
     ):
-        return UNSEEN_COST, extra, np.nan, np.nan, np.nan, np.nan
+        return UNSEEN_COST, extra, np.nan, np.nan, np.nan, np.nan, np.nan
     speed = math.sqrt(dx * dx + dy * dy)
     slope = (gx * dx + gy * dy) / speed
     ratio = slope * speed * per_turn / TWO_PI
-    noise2 = sigma2[int(y + 0.5), int(x + 0.5)]
-    own = noise2 * noise2 + ((ratio - 1) * sigma1[i]) ** 2 + (gx * gx + gy * gy) * errors[0] ** 2
+    noise2 = largest_sigma(x, y, phase2, sigma2)
+    gradient = math.sqrt(gx * gx + gy * gy)
+    own = noise2 * noise2 + ((ratio - 1) * sigma1[i]) ** 2 + (gradient * errors[0]) ** 2
     sigma = math.sqrt(own / TWO_PI**2 + MODEL_ERROR**2)
+    if not sigma < MOST_SIGMA:
+        return UNSEEN_COST, extra, np.nan, np.nan, np.nan, np.nan, np.nan
     residual = (difference - (bias[0][i] + bias[1][i] * t) * slope) / TWO_PI
-    return (residual / sigma) ** 2, extra, difference / TWO_PI, sigma, slope, ratio
+    return (residual / sigma) ** 2, extra, difference / TWO_PI, sigma, slope, ratio, gradient
 
 
 @njit(cache=True, error_model="numpy")
@@ -137,7 +144,8 @@ def _second_cost(t, i, per_turn, sigma1, ray1, second, cal_p):  # type: ignore[n
     turns = w / period - phase1[i] / TWO_PI
     turns -= math.floor(turns + 0.5)
     noise = (own_sigma1[i] ** 2 + (drift * sigma1) ** 2) / TWO_PI**2
-    return turns * turns / (noise + (cal_p / period) ** 2 + MODEL_ERROR**2)
+    calibration = (1 + drift * drift) * (cal_p / period) ** 2
+    return turns * turns / (noise + calibration + MODEL_ERROR**2)
 
 
 @njit(cache=True, error_model="numpy")
@@ -146,10 +154,12 @@ def _order_range(ends, i, guard, turns, ray1, axis, period):  # type: ignore[no-
     base_p, along_p, lens_p = ray1
     w0 = _across(base_p, along_p[i], ends[i, 0], lens_p, axis)
     w1 = _across(base_p, along_p[i], ends[i, 1], lens_p, axis)
-    if math.isnan(w0 + w1):
+    # Fringes that nearly follow the epipolar lines may turn round on the segment.
+    middle = _across(base_p, along_p[i], 0.5 * (ends[i, 0] + ends[i, 1]), lens_p, axis)
+    if math.isnan(w0 + w1 + middle):
         return 0, -1
-    lowest = math.ceil((min(w0, w1) - guard[i]) / period - turns)
-    return lowest, math.floor((max(w0, w1) + guard[i]) / period - turns)
+    lowest = math.ceil((min(w0, w1, middle) - guard[i]) / period - turns)
+    return lowest, math.floor((max(w0, w1, middle) + guard[i]) / period - turns)
 
 
 @njit(cache=True, parallel=True, error_model="numpy")
@@ -192,7 +202,7 @@ def list_candidates(  # type: ignore[no-untyped-def]
                 continue
             t = _sheet_depth(ray1[0], ray1[1][i], (order + turns) * period, ray1[2], axis)
             if t > 0:
-                cost, extra, residual, _, _, _ = _judge(
+                cost, extra, residual, _, _, _, _ = _judge(
                     t, i, order, ray1, ray2, axis, period, first, second, errors, bias
                 )
                 orders[i, place], costs[i, place], extras[i, place] = order, cost, extra
@@ -220,10 +230,10 @@ def describe(order, no_order, ends, guard, task, result):  # type: ignore[no-unt
         turns = first[0][i] / TWO_PI
         t = _sheet_depth(ray1[0], ray1[1][i], (order[i] + turns) * period, ray1[2], axis)
         lowest, highest = _order_range(ends, i, guard, turns, ray1, axis, period)
-        cost, _, residual, sigma, slope, ratio = _judge(
+        cost, _, residual, sigma, slope, ratio, gradient = _judge(
             t, i, order[i], ray1, ray2, axis, period, first, second, errors, bias
         )
         result[i, DEPTH], result[i, COST] = t, cost
         result[i, INSIDE] = 1.0 if lowest <= order[i] <= highest else 0.0
         result[i, RESIDUAL], result[i, SIGMA] = residual, sigma
-        result[i, SLOPE], result[i, RATIO] = slope, ratio
+        result[i, SLOPE], result[i, RATIO], result[i, GRADIENT] = slope, ratio, gradient

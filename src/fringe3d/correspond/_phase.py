@@ -53,3 +53,15 @@ def phase_difference(x, y, phase1, phase2):  # type: ignore[no-untyped-def]
     gx = (b - a) * (1 - fy) + (d - c) * fy
     gy = (c - a) * (1 - fx) + (d - b) * fx
     return wrap(origin + value - phase1), gx, gy
+
+
+@njit(cache=True, error_model="numpy")
+def largest_sigma(x, y, phase, sigma):  # type: ignore[no-untyped-def]
+    """Return the largest standard deviation of the four neighbours that have a phase."""
+    row, col = int(y), int(x)
+    largest = 0.0
+    for i in range(2):
+        for j in range(2):
+            if not math.isnan(phase[row + i, col + j]):
+                largest = max(largest, sigma[row + i, col + j])
+    return largest

@@ -63,6 +63,7 @@ def learn_bias(
     *,
     residual: NDArray[np.float64],
     noise: NDArray[np.float64],
+    obliqueness: NDArray[np.float64],
     is_clear: NDArray[np.bool_],
     expected_px: float,
 ) -> Bias:
@@ -73,6 +74,8 @@ def learn_bias(
     pixels : (n, 2) float, px; of C1
     depths_mm : (n,) float, mm
     residual, noise : (n,) float, px in C2 along the curve; noise is without the calibration's
+    obliqueness : (n,) float; phase gradient of C2 along the curve over the whole one: what
+        displaces points in any direction shows so much larger along the curve
     is_clear : (n,) bool
     expected_px : float, px; the scatter where nothing can be learnt
 
@@ -103,7 +106,9 @@ def learn_bias(
         coefficients = np.asarray(np.linalg.solve(normal, (terms * weight[:, None]).T @ y))
         left = y - terms @ coefficients
         scatter = max(MAD_TO_SIGMA * float(np.median(np.abs(left))), LEAST_SCATTER_PX)
-    own = float(np.median(noise[usable]))
+    oblique = obliqueness[usable]
+    scatter = MAD_TO_SIGMA * float(np.median(np.abs(y - terms @ coefficients) * oblique))
+    own = float(np.median(noise[usable] * oblique))
     scatter = max(float(np.sqrt(max(scatter**2 - own**2, 0))), LEAST_SCATTER_PX)
     return Bias(coefficients=coefficients, middle=middle, scale=scale, scatter_px=scatter,
                 is_known=True)  # fmt: skip

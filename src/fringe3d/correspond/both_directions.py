@@ -9,6 +9,7 @@ from numba import njit, prange
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from fringe3d.correspond._phase import MAX_JUMP
 from fringe3d.correspond.projector import epipolar_line_at
 from fringe3d.correspond.stereo import INTERPOLATION_WEIGHT
 from fringe3d.geometry import pixel_grid, rays
@@ -24,10 +25,18 @@ REACH_PX = 8.0
 
 
 @njit(cache=True, error_model="numpy")
-def _inside(u, v, row, col, u2, v2):  # type: ignore[no-untyped-def]
-    """Return the place (x, y) of (u, v) among four neighbours, and the gradients there."""
+def _inside(u, v, row, col, u2, v2, jumps):  # type: ignore[no-untyped-def]
+    """Return the place (x, y) of (u, v) among four neighbours, and the gradients there.
+
+    Neighbours whose u or v differ by more than `jumps` lie on several surfaces and enclose nothing.
+    """
     ua, ub, uc, ud = u2[row, col], u2[row, col + 1], u2[row + 1, col], u2[row + 1, col + 1]
     va, vb, vc, vd = v2[row, col], v2[row, col + 1], v2[row + 1, col], v2[row + 1, col + 1]
+    if not (
+        max(ua, ub, uc, ud) - min(ua, ub, uc, ud) <= jumps[0]
+        and max(va, vb, vc, vd) - min(va, vb, vc, vd) <= jumps[1]
+    ):
+        return np.nan, np.nan, np.nan, np.nan, np.nan, np.nan
     x, y = 0.5, 0.5
     ux, uy, vx, vy = np.nan, np.nan, np.nan, np.nan
     for _ in range(NEWTON_STEPS):
@@ -43,7 +52,7 @@ def _inside(u, v, row, col, u2, v2):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, parallel=True, error_model="numpy")
-def _place(u1, v1, rows, cols, u2, v2, found):  # type: ignore[no-untyped-def]
+def _place(u1, v1, rows, cols, u2, v2, jumps, found):  # type: ignore[no-untyped-def]
     """Write x, y and the gradients of u and v for each point; NaN where nothing encloses it."""
     n_rows, n_cols = u2.shape
     for i in prange(len(u1)):
@@ -53,7 +62,7 @@ def _place(u1, v1, rows, cols, u2, v2, found):  # type: ignore[no-untyped-def]
                 row, col = rows[i] + down, cols[i] + right
                 if not (0 <= row < n_rows - 1 and 0 <= col < n_cols - 1):
                     continue
-                x, y, ux, uy, vx, vy = _inside(u1[i], v1[i], row, col, u2, v2)
+                x, y, ux, uy, vx, vy = _inside(u1[i], v1[i], row, col, u2, v2, jumps)
                 if not math.isnan(x):
                     found[i, 0], found[i, 1] = x, y
                     found[i, 2], found[i, 3], found[i, 4], found[i, 5] = ux, uy, vx, vy
@@ -97,7 +106,8 @@ def match_both_directions(
         away, nearest = tree.query(wanted, distance_upper_bound=REACH_PX, workers=-1)
         near = np.isfinite(away)
         rows, cols = seen[np.where(near, nearest, 0)].T
-        _place(wanted[:, 0], wanted[:, 1], rows, cols, u2, v2, found)
+        jumps = np.array([m.period_px for m in phases2]) * (MAX_JUMP / (2 * np.pi))
+        _place(wanted[:, 0], wanted[:, 1], rows, cols, u2, v2, jumps, found)
         found[~near] = np.nan
     missed = valid.copy()
     missed[valid] = np.isnan(found[:, 0])

@@ -35,8 +35,9 @@ class ChosenOrders:
     phases : PhaseMap of C1, absolute; what has no order is rejected with its reason
     probability : (row, col) float32; of the order among all candidates; NaN where rejected
     half_px : (row, col) float64, projector px; how far around its phase C2 sees the point
-    residual : (row, col) float32, periods; phase that C2 sees at the point minus that of C1
-    sigma : (row, col) float32, periods; predicted standard deviation of `residual`
+    residual : (row, col) float32, periods; phase that C2 sees at the point minus that of C1, the
+        calibration's bias included
+    sigma : (row, col) float32, periods; predicted standard deviation of `residual` less the bias
     bias : Bias; of the calibration, as the clear decisions show it
     """
 
@@ -84,8 +85,8 @@ def choose_orders(
 
     Notes
     -----
-    Variance of the residual, in periods: ``sigma_2**2 + (rho - 1)**2 sigma_1**2 + (c |grad
-    phi_2|)**2 + m**2`` with rho the phase that C2 sees over that of the projector along the ray,
+    Variance of the residual, in periods: ``sigma_2**2 + (q - 1)**2 sigma_1**2 + (c |grad
+    phi_2|)**2 + m**2`` with q the phase that C2 sees over that of the projector along the ray,
     c the calibration's error in C2, px, and m = 0.0015.
     """
     task = Task(views, projector, volume, fit_sigma**2, together)

@@ -195,13 +195,7 @@ def _correspondences(
     pixels[valid], slope[valid] = found[:, :2], found[:, 2]
     pixels[~good] = np.nan
     sigma = np.full(valid.shape, np.nan, np.float32)
-    col, row = np.rint(pixels[good]).astype(int).T
-    variance2 = (
-        phases2.phase_std[
-            np.clip(row, 0, phases2.phase.shape[0] - 1), np.clip(col, 0, phases2.phase.shape[1] - 1)
-        ].astype(np.float64)
-        ** 2
-    )
+    variance2 = _largest_std(phases2, pixels[good]) ** 2
     variance = phases1.phase_std[good].astype(np.float64) ** 2 + INTERPOLATION_WEIGHT * variance2
     with np.errstate(divide="ignore"):
         sigma[good] = np.sqrt(variance) / np.abs(slope[good])
@@ -214,3 +208,12 @@ def _correspondences(
         fringe_order=np.where(good, phases1.order_class, NO_ORDER),
         rejection=rejection,
     )
+
+
+def _largest_std(phases: PhaseMap, places: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the largest standard deviation, rad, of the neighbours of places that have a phase."""
+    known = np.where(phases.rejection == 0, phases.phase_std, 0).astype(np.float64)
+    col, row = np.floor(places).astype(int).T
+    rows, cols = (np.clip([at, at + 1], 0, n - 1)
+                  for at, n in zip((row, col), known.shape, strict=True))  # fmt: skip
+    return np.asarray(known[rows[:, None], cols[None]].max(axis=(0, 1)))

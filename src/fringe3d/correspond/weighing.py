@@ -70,11 +70,12 @@ class TwoViews:
 def _evidence_of_bias(chosen: Choice, limit: float) -> dict[str, Any]:
     """Return the residuals of clear decisions as displacements in C2, px along the curve."""
     per_period = TWO_PI / np.where(chosen.slope == 0, np.nan, chosen.slope)  # px
-    of_calibration = EXPECTED_CALIBRATION_PX / np.abs(per_period)
+    of_calibration = EXPECTED_CALIBRATION_PX * chosen.gradient / TWO_PI
     own = np.sqrt(np.maximum(chosen.sigma**2 - of_calibration**2, 0))
     return {
         "residual": chosen.residual * per_period,
         "noise": own * np.abs(per_period),
+        "obliqueness": np.abs(chosen.slope) / chosen.gradient,
         "is_clear": (chosen.probability > CLEAR) & (chosen.cost < limit),
         "expected_px": EXPECTED_CALIBRATION_PX,
     }
@@ -93,6 +94,7 @@ class Choice:
     sigma: NDArray[np.float64]
     slope: NDArray[np.float64]
     ratio: NDArray[np.float64]
+    gradient: NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -203,8 +205,9 @@ class Task:
         order, probability = self._most_probable(listed)
         result = np.empty((len(order), _orders.N_COLUMNS))
         _orders.describe(order, NO_ORDER, self.ends, self.guard, task, result)
-        depth, cost, inside, residual, sigma, slope, ratio = result.T
-        return Choice(order, probability, depth, cost, inside > 0, residual, sigma, slope, ratio)
+        depth, cost, inside, residual, sigma, slope, ratio, gradient = result.T
+        return Choice(order, probability, depth, cost, inside > 0, residual, sigma, slope, ratio,
+                      gradient)  # fmt: skip
 
     def _most_probable(self, listed: _Candidates) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
         """Return the most probable candidate of each pixel, (n,), and its probability."""

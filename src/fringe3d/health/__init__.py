@@ -4,6 +4,7 @@ from fringe3d.health.finding import Finding
 from fringe3d.health.geometry import (
     check_ambiguity,
     check_epipolar,
+    check_probability,
     check_trinocular,
     check_twins,
     check_yield,
@@ -19,6 +20,7 @@ __all__ = [
     "check_epipolar",
     "check_files",
     "check_phases",
+    "check_probability",
     "check_texture",
     "check_trinocular",
     "check_twins",

@@ -26,6 +26,9 @@ MIN_YIELD = 0.002
 TWIN_WARNING = 0.05
 """Part of the points that a surface outside the volume could stand behind."""
 
+DOUBTFUL_ORDER, DOUBTFUL_WARNING = 0.9, 0.02
+"""Probability below which an order is in doubt, and the part of the points that may be."""
+
 AMBIGUOUS_WARNING, AMBIGUOUS_REFUSED = 0.05, 0.4
 """Part of the decoded pixels that the code leaves several points."""
 
@@ -118,8 +121,8 @@ def check_yield(points: PointMap, /) -> list[Finding]:
         return [Finding("ok", "lost_part", lost, text)]
     if lost <= LOST_SEVERE:
         cause = (
-            "check calibration, measuring volume and plan (a table or wall outside the volume "
-            "does this, too, where the code is reduced)"
+            "that is right where a table or a wall outside the measuring volume is seen; else "
+            "check calibration, volume and plan"
         )
     return [Finding("warning", "lost_part", lost, f"{text}; {cause}")]
 
@@ -134,6 +137,23 @@ def check_twins(share: float, /) -> list[Finding]:
         "record one code image more, or make the volume as deep as what is seen"
     )
     return [Finding("warning", "twin_part", share, text)]
+
+
+def check_probability(matches: Correspondences, /) -> list[Finding]:
+    """Judge how many accepted points have a fringe order that is not much the likeliest."""
+    assert matches.order_probability is not None
+    accepted = matches.rejection == 0
+    if not accepted.any():
+        return []
+    doubtful = float((matches.order_probability[accepted] < DOUBTFUL_ORDER).mean())
+    text = f"{doubtful:.1%} of the points have a fringe order less probable than {DOUBTFUL_ORDER:g}"
+    if doubtful <= DOUBTFUL_WARNING:
+        return [Finding("ok", "doubtful_part", doubtful, text)]
+    text += (
+        ": many of them will be wrong by whole periods, and their sigma does not say so. Leave "
+        "--min-probability out, or record a code"
+    )
+    return [Finding("warning", "doubtful_part", doubtful, text)]
 
 
 def check_ambiguity(matches: Correspondences, phases: PhaseMap, /) -> list[Finding]:
@@ -153,7 +173,11 @@ def check_ambiguity(matches: Correspondences, phases: PhaseMap, /) -> list[Findi
         return [Finding("ok", "ambiguous_part", share, text)]
     level: Level = "error" if share > AMBIGUOUS_REFUSED else "warning"
     text += (
-        f": the code tells {n_classes} of {n_orders} periods apart, too few for this depth range. "
-        "Keep more bits, or give a narrower depth range (--depth MIN:MAX)"
+        ": without a code this rig does not tell the fringe orders apart (fringe3d design shows "
+        "the ambiguity margin). Record a reduced Gray code (--method m2) or a second direction "
+        "(--method m4), or give a narrower depth range (--depth MIN:MAX)"
+        if n_classes == 1
+        else f": the code tells {n_classes} of {n_orders} periods apart, too few for this depth "
+        "range. Keep more bits, or give a narrower depth range (--depth MIN:MAX)"
     )
     return [Finding(level, "ambiguous_part", share, text)]

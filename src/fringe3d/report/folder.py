@@ -149,6 +149,7 @@ def measure_record(
         "summary": summary(result),
         "method": result.method,
         "why_this_method": result.why,
+        "images_used": result.n_images,
         "title": scan.title,
         "time": datetime.now(UTC).isoformat(timespec="seconds"),
         "versions": {"fringe3d": __version__, "python": platform.python_version(),

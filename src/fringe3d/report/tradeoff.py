@@ -21,6 +21,7 @@ LEVELS = np.arange(0.0, 10.1, 1.0)
 
 MAP = "viridis"
 CAMERA = "#c22f2f"
+LABEL_BOX = {"facecolor": "white", "edgecolor": "none", "alpha": 0.85, "pad": 1}
 COLORS = ("#000000", "#8c564b", "#1f77b4", "#d95f02", "#e7298a", "#7f7f7f")
 CIRCLE_POINTS = 121
 ENOUGH_TEXT = f"{NEEDED_RATIO:g}: enough"
@@ -88,7 +89,8 @@ def _draw_places(axis: Axes, found: Optimisation, ratio: Array) -> TriContourSet
         x, y = _seen_from_above(np.array(tilt), np.array(azimuth))
         axis.plot(x, y, "o", color=CAMERA, markersize=9)
         axis.annotate(camera.name, (x, y), xytext=(0, -17), textcoords="offset points", ha="center",
-                      color=CAMERA, fontsize=10, fontweight="bold")  # fmt: skip
+                      color=CAMERA, fontsize=9, fontweight="bold",
+                      bbox=LABEL_BOX)  # fmt: skip
         _draw_ring(axis, found, tilt, azimuth, found.limits.min_separation, "--")
     for number, candidate in enumerate(found.candidates):
         if candidate.name == "next to C1" and candidate.rig.projector is not None:
