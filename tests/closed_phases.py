@@ -13,7 +13,6 @@ from closed_form import demo_rig
 from fringe3d.model import (
     NO_ORDER,
     Device,
-    MeasuringVolume,
     PhaseMap,
     Rejection,
     Rig,
@@ -184,11 +183,4 @@ def phase_map(
         period_px=period_px,
         angle=angle,
         device_name=camera.name,
-    )
-
-
-def deep_volume(half_height_mm: float = 12.5) -> MeasuringVolume:
-    """Return the cylinder of the demo rig with another height."""
-    return MeasuringVolume.cylinder(
-        [0, 0, 0], [0, 0, 1], radius_mm=45.0, height_mm=2 * half_height_mm
     )

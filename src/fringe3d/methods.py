@@ -127,7 +127,8 @@ def _require(method: str, rig: Rig, stacks: Sequence[ImageStack], two_cameras: b
             "--method m0: expected a Gray code in both directions, found "
             f"{len({g.angle for g in plan.gray_sets})}. Use --method m1 or m4"
         )
-    if method in ("m1", "m2") and not plan.gray_sets and len(plan.fringe_sets) < 2:
+    has_several_periods = len({f.period_px for f in plan.fringe_sets}) > 1
+    if method in ("m1", "m2") and not plan.gray_sets and not has_several_periods:
         raise MethodError(
             f"--method {method}: expected a Gray code, found fringes alone. Use --method "
             + ("m4, or" if len(fringe_angles) > 1 else "m5 or m3, or")
