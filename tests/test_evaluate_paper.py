@@ -238,7 +238,7 @@ def test_each_method_gets_exactly_its_own_images_of_one_recording() -> None:
 
 
 def test_the_modulation_on_the_plane_is_the_one_that_the_noise_refers_to() -> None:
-    """100 grey values with 16 px on 640 x 512 px; here what blurs the fringes is told apart.
+    """96 grey values with 16 px on 640 x 512 px; here what blurs the fringes is told apart.
 
     Over a length of p px, a blur of s px leaves exp(-2 (pi s / p)^2) and a pixel sinc(1 / p).
     """
@@ -255,13 +255,13 @@ def test_the_modulation_on_the_plane_is_the_one_that_the_noise_refers_to() -> No
         return left * float(np.sinc(1 / period_px) * np.sinc(1 / on_camera_px))
 
     # A period of 16 px is 16 * 0.02 mm / 64.3 mm * 335 mm = 1.667 mm; a pixel is 93 mm / 640.
-    expected = 100 * contrast(48, 3 * 1.667 * 320 / 93) / contrast(16, 1.667 * 640 / 93)
+    expected = 96 * contrast(48, 3 * 1.667 * 320 / 93) / contrast(16, 1.667 * 640 / 93)
     assert np.median(modulation[top]) == pytest.approx(expected, rel=0.02)
     assert images.max() < 250
 
 
 def test_the_noise_is_the_part_of_that_modulation_that_was_asked_for() -> None:
-    """Two images of one pattern: 2 % of 100 grey values, with 1/12 for the quantisation.
+    """Two images of one pattern: 2 % of 96 grey values, with 1/12 for the quantisation.
 
     The shot noise of 1e7 electrons adds 0.06 grey values to 2; 1 % for the sample of 80,000.
     """
@@ -270,7 +270,7 @@ def test_the_noise_is_the_part_of_that_modulation_that_was_asked_for() -> None:
     one, other = (record(stage, plan, seed=n).stacks[0].images[0].astype(float) for n in (1, 2))
     top = stage.truths[0].normals[..., 2] > 0.999
     sigma = float(np.std((one - other)[top])) / math.sqrt(2)
-    assert sigma == pytest.approx(math.hypot(2.0, 12**-0.5), rel=0.01)
+    assert sigma == pytest.approx(math.hypot(0.02 * 96, 12**-0.5), rel=0.01)
 
 
 def score(n: int, right: int, wrong: int, anywhere: int = 0) -> Score:

@@ -110,7 +110,7 @@ def _load(rig: str) -> Sketch:
             f"found '{rig}'. {hint}"
         )
     preset = PRESETS[rig]((640, 512))
-    return Sketch(rig=preset.rig, period_px=preset.period_px)
+    return Sketch(rig=preset.rig, period_px=preset.period_px, angle=preset.fringe_angle)
 
 
 def _write(

@@ -33,10 +33,10 @@ from fringe3d.report.paper import Entry, paper_markdown, paper_record, write_pap
 from fringe3d.simulate import OBJECTS, PRESETS, CameraOptics, Preset, Setup, Stage, record
 from fringe3d.simulate.perturb import perturbed
 
-EXPOSURE = 1.2
-"""The plane then reaches 0.8 of the highest grey value."""
+EXPOSURE = 1.15
+"""A surface that faces the projector then reaches 0.95 of the highest grey value."""
 
-PLANE_MODULATION = 100 / 255
+PLANE_MODULATION = 96 / 255
 """Of the highest grey value, at that exposure; the noise is a part of it."""
 
 FULL_WELL_E = 1e7

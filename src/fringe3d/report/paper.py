@@ -37,6 +37,9 @@ MEANINGS = {
 NOTHING = "#15171c"
 UNKNOWN = "-"
 PANEL_INCHES, TITLE_INCHES = 2.2, 0.5
+SHADES = 12
+"""Steps of brightness: enough to see the shape, and small files."""
+
 MIN_COLUMNS = 3
 """Fewer would cut the legend."""
 
@@ -360,7 +363,8 @@ def _draw(axis: Axes, entry: Entry, window: tuple[slice, slice]) -> None:
         verdict = entry.verdict[window]
         picture = palette[verdict + 1]
         right = verdict == Verdict.RIGHT
-        picture[right] *= 0.35 + 0.65 * np.clip(entry.shade[window][right, None], 0, 1)
+        shade = np.clip(entry.shade[window][right, None], 0, 1)
+        picture[right] *= 0.35 + 0.65 * np.round(SHADES * shade) / SHADES
     axis.imshow(picture, interpolation="nearest")
 
 
