@@ -88,6 +88,32 @@ def test_four_images_without_a_code_are_enough_where_the_segment_is_shorter_than
     assert wrong < 0.05
 
 
+@pytest.mark.parametrize("method", ["m3", "m5"])
+def test_four_images_do_on_the_rig_of_the_optimiser(method: Method) -> None:
+    """Against M1 on the same rig; each pixel alone (M3), and with its neighbours (M5)."""
+    stage = stage_of("designed", "machine-part")
+    assert stage.rig.projector is not None
+    angle = PRESETS["designed"](SIZE).fringe_angle
+    plan = method_plan("m1", stage.rig.projector.shape, period_px=16.0, n_shifts=4, angle=angle)
+    scan = record(stage, plan, seed=1)
+    full, _ = judged(stage, measure(scan))
+    options = MeasureOptions(method=method, min_order_probability=0.0)
+    found, wrong = judged(stage, measure(scan, options))
+    assert found > 0.97 * full
+    assert wrong < 0.02
+
+
+@pytest.mark.parametrize("strict", [False, True])
+def test_fringes_of_two_directions_keep_the_table_out(bodies: Stage, strict: bool) -> None:
+    """M4: eight images, no code."""
+    scan = record(bodies, plan_of(bodies, "m4"), seed=1)
+    result = measure(scan, MeasureOptions(strict=strict))
+    assert (result.method, result.n_images) == ("m4", 8)
+    found, wrong = judged(bodies, result)
+    assert found > 0.97
+    assert wrong < 0.005
+
+
 def test_points_of_the_table_are_said_to_be_outside_the_volume(bodies: Stage) -> None:
     result = measure(record(bodies, plan_of(bodies, "m1"), seed=1))
     assert result.points is not None
