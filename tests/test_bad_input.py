@@ -895,14 +895,14 @@ OPTIONS = [
     Case(
         "M1 without Gray code",
         nothing,
-        r"--method m1: expected a full Gray code, found .* 1 of 32 periods.*\. Keep more bits",
+        r"--method m1: expected a Gray code, found fringes alone\. Use --method m5 or m3",
         ("--gray-bits", "0", "--method", "m1"),
     ),
     Case(
         "M2 with full Gray code",
         nothing,
         r"--method m2: expected a reduced Gray code, found a full one\. Use --method m1",
-        ("--method", "m2"),
+        ("--method", "m2", "--gray-bits", "6"),
     ),
     Case(
         "M1 with one camera",
@@ -925,7 +925,7 @@ OPTIONS = [
     Case(
         "unknown method",
         nothing,
-        r'"m7" for --method\. Choose from: "auto", "m1"',
+        r'"m7" for --method\. Choose from: "auto", "m0", "m1"',
         ("--method", "m7"),
     ),
     Case(

@@ -87,7 +87,8 @@ def learn_bias(
     -----
     Robust least squares (Cauchy weights) with a ridge prior.
     """
-    usable = np.flatnonzero(is_clear & np.isfinite(residual) & np.isfinite(noise))
+    known = np.isfinite(residual) & np.isfinite(noise) & np.isfinite(obliqueness)
+    usable = np.flatnonzero(is_clear & known)
     if len(usable) < max(LEAST_PIXELS, LEAST_PART * len(pixels)):
         return no_bias(expected_px)
     usable = usable[:: max(1, len(usable) // SAMPLE)]

@@ -75,7 +75,8 @@ def _evidence_of_bias(chosen: Choice, limit: float) -> dict[str, Any]:
     return {
         "residual": chosen.residual * per_period,
         "noise": own * np.abs(per_period),
-        "obliqueness": np.abs(chosen.slope) / chosen.gradient,
+        "obliqueness": np.abs(chosen.slope)
+        / np.where(chosen.gradient > 0, chosen.gradient, np.nan),
         "is_clear": (chosen.probability > CLEAR) & (chosen.cost < limit),
         "expected_px": EXPECTED_CALIBRATION_PX,
     }
