@@ -20,6 +20,7 @@ PICTURES = {"overview.png": "paper-overview.png", "errors-machine-part.png": "pa
 def main(folder: Path) -> None:
     """Replace the tables of the page, and its pictures."""
     printed = (folder / "paper.md").read_text(encoding="utf-8").split("\n", 1)[1].strip()
+    printed = printed.replace("\n## ", "\n### ")
     for name, kept in PICTURES.items():
         shutil.copyfile(folder / name, DOCS / "images" / kept)
         printed = printed.replace(f"({name})", f"(images/{kept})")

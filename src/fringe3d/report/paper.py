@@ -330,11 +330,13 @@ def draw_error_maps(path: Path, entries: Sequence[Entry], /) -> None:
         rows.setdefault(_row_title(entry), []).append(entry)
     windows = [_window(own) for own in rows.values()]
     n_cols = max(MIN_COLUMNS, *(len(own) for own in rows.values()))
-    aspect = max((w[0].stop - w[0].start) / (w[1].stop - w[1].start) for w in windows)
-    height = len(rows) * (PANEL_INCHES * aspect + TITLE_INCHES)
-    figure = Figure(figsize=(PANEL_INCHES * n_cols + 0.4, height + 0.4), dpi=100,
+    heights = [
+        PANEL_INCHES * (high.stop - high.start) / (wide.stop - wide.start) + TITLE_INCHES
+        for high, wide in windows
+    ]
+    figure = Figure(figsize=(PANEL_INCHES * n_cols + 0.4, sum(heights) + 0.4), dpi=100,
                     layout="constrained")  # fmt: skip
-    axes = figure.subplots(len(rows), n_cols, squeeze=False)
+    axes = figure.subplots(len(rows), n_cols, squeeze=False, height_ratios=heights)
     for axis in axes.ravel():
         axis.set(xticks=[], yticks=[])
         axis.spines[:].set_visible(False)
