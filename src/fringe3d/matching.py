@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -21,6 +21,7 @@ from fringe3d.errors import MethodError
 from fringe3d.health import check_trinocular
 from fringe3d.model import (
     NO_ORDER,
+    CalibrationBias,
     Correspondences,
     Device,
     MeasuringVolume,
@@ -39,6 +40,23 @@ MAX_TRINOCULAR_PX = 3.0
 
 MIN_PROBABILITY, STRICT_PROBABILITY = 0.9, 0.99
 """A fringe order that is less probable is AMBIGUOUS."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Matched:
+    """Correspondences, and what was learnt on the way.
+
+    Parameters
+    ----------
+    matches : Correspondences
+    bias : CalibrationBias or None; with which the orders were chosen, stored or learnt
+    rival_shift : int; periods between the orders taken and those of the best other solution that
+        the images leave possible; 0 where there is none
+    """
+
+    matches: Correspondences
+    bias: CalibrationBias | None = None
+    rival_shift: int = 0
 
 
 def best_direction_first(
@@ -74,7 +92,8 @@ def match(
     *,
     method: str,
     options: MeasureOptions,
-) -> Correspondences:
+    bias: CalibrationBias | None = None,
+) -> Matched:
     """Find the correspondences of C1 with the second camera, or with the projector.
 
     Parameters
@@ -85,10 +104,11 @@ def match(
     volume : MeasuringVolume or None
     method : str; as settled, see `fringe3d.methods`
     options : MeasureOptions; how strict
+    bias : CalibrationBias or None; of the rig, where it is known
 
     Returns
     -------
-    Correspondences
+    Matched
 
     Raises
     ------
@@ -97,17 +117,17 @@ def match(
     """
     if other.role == "projector":
         maps = [direction.main for direction in phases[0].directions[:2]]
-        return match_projector(maps, camera, other, volume)
-    views = _two_views(phases, camera, other)
+        return Matched(match_projector(maps, camera, other, volume))
+    views = two_views(phases, camera, other)
     if method == "m0":
         assert views.second1 is not None
         assert views.second2 is not None
-        return match_both_directions((views.phases1, views.second1),
-                                     (views.phases2, views.second2), camera, other)  # fmt: skip
-    if method != "m4":
+        first, second = (views.phases1, views.second1), (views.phases2, views.second2)
+        return Matched(match_both_directions(first, second, camera, other))
+    if method not in ("m4", "m6"):
         views = replace(views, second1=None, second2=None)
     if projector is not None and volume is not None and _may_judge(views, projector, volume):
-        return _match_three(views, projector, volume, method, options)
+        return _match_three(views, projector, volume, method, options, bias)
     if has_mirrored_neighbours(views.phases1):
         raise MethodError(
             "--gray-bits: the finest images of a plain code repeat mirrored and do not tell all "
@@ -115,11 +135,12 @@ def match(
             "where. Keep all, or record an over-determined code (cells of half a period) or a "
             "cyclic one"
         )
-    return match_cameras(views.phases1, views.phases2, camera, other, volume,
-                         second=views.second)  # fmt: skip
+    return Matched(match_cameras(views.phases1, views.phases2, camera, other, volume,
+                                 second=views.second))  # fmt: skip
 
 
-def _two_views(phases: Sequence[CameraPhases], camera: Device, other: Device) -> TwoViews:
+def two_views(phases: Sequence[CameraPhases], camera: Device, other: Device, /) -> TwoViews:
+    """Return what both cameras see of the first direction, and of the second if there is one."""
     first1, *more1 = phases[0].directions
     first2, *more2 = phases[1].directions
     second1 = more1[0].main if more1 and more2 else None
@@ -139,7 +160,8 @@ def _match_three(
     volume: MeasuringVolume,
     method: str,
     options: MeasureOptions,
-) -> Correspondences:
+    bias: CalibrationBias | None,
+) -> Matched:
     """Choose the order by projector and C2 together, then find its point in C2."""
     least = options.min_order_probability
     if least is None:
@@ -148,6 +170,8 @@ def _match_three(
         views,
         projector,
         volume,
+        bias=bias if bias is not None and bias.fits(views.phases1.angle) else None,
+        search=method == "m6",
         min_probability=least,
         together=method != "m3",
         strict=options.strict,
@@ -162,11 +186,12 @@ def _match_three(
         depths_mm=depths_of_orders(chosen.phases, views.camera1, projector, chosen.half_px),
     )
     good = matches.rejection == 0
-    return replace(
+    matches = replace(
         matches,
         fringe_order=np.where(good, chosen.phases.order_class, NO_ORDER),
         order_probability=np.where(good, chosen.probability, np.nan),
     )
+    return Matched(matches, chosen.bias, chosen.rival_shift)
 
 
 def _may_judge(views: TwoViews, projector: Device, volume: MeasuringVolume) -> bool:

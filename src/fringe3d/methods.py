@@ -10,6 +10,8 @@ m2         reduced Gray code                                   code, unique on t
 m3         fringes of one direction                            the candidate that C2 fits best
 m4         fringes of two directions                           the same, with both directions
 m5         fringes of one direction, segments of one period    the only candidate
+m6         fringes; code and a second direction if there  the evidence of all pixels together
+           are any
 projector  one camera: full or reduced code, one or two        code, unique on the segment
            directions
 =========  ==================================================  ===================================
@@ -95,7 +97,7 @@ def choose_method(
         return Choice("m4", "two cameras, no code, fringes of two directions")
     if rig.projector is None:
         return Choice("m5", "two cameras, fringes alone, no calibrated projector")
-    return Choice("m3", "two cameras, no code, fringes of one direction")
+    return Choice("m6", "two cameras, no code, fringes of one direction")
 
 
 def _require(method: str, rig: Rig, stacks: Sequence[ImageStack], two_cameras: bool) -> None:
@@ -134,12 +136,13 @@ def _require(method: str, rig: Rig, stacks: Sequence[ImageStack], two_cameras: b
             + ("m4, or" if len(fringe_angles) > 1 else "m5 or m3, or")
             + " record the code images"
         )
-    if method in FRINGES_ALONE and not plan.fringe_sets:
+    if method in (*FRINGES_ALONE, "m6") and not plan.fringe_sets:
         raise MethodError(f"--method {method}: expected fringe images, found none. Use --method m1")
-    if method == "m3" and rig.projector is None:
+    if method in ("m3", "m6") and rig.projector is None:
         raise MethodError(
-            "--method m3: expected a calibrated projector, in which the candidates are compared; "
-            "found none in the rig. Calibrate it, or use --method "
+            f"--method {method}: expected a calibrated projector, in which the candidates are "
+            "compared; found none in the rig. Calibrate it (fringe3d calibrate projector, from one "
+            "scan with a full code), or use --method "
             + ("m1" if plan.gray_sets else "m4 with a second fringe direction")
         )
 
@@ -257,7 +260,7 @@ def settle(
     if choice.method in ("m1", "m2"):
         choice = _settle_code(choice, main, asked)
     if main.is_absolute or rig.projector is None or volume is None:
-        if choice.method in ("m2", "m3", "m5") and volume is None:
+        if choice.method in ("m2", "m3", "m5", "m6") and volume is None:
             raise MethodError(
                 f"method {choice.method}: expected a measuring volume, found none in the rig. Give "
                 "the depth range of the object (--depth MIN:MAX, mm)"
@@ -265,7 +268,7 @@ def settle(
         return choice
     told_apart = _told_apart(main.class_of_order)
     twins = _twins(rig, volume, main.period_px, main.angle, told_apart)
-    if choice.method == "m3" and not asked and twins <= MOST_TWINS / 10:
+    if choice.method == "m6" and not asked and twins <= MOST_TWINS / 10:
         return Choice("m5", "no code, and hardly a segment in the projector exceeds a period")
     if has_mirrored_neighbours(main):
         return choice  # where in the period the code is ambiguous differs: C2 decides

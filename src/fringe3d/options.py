@@ -9,9 +9,17 @@ from typing import Literal
 import numpy as np
 
 from fringe3d.errors import MethodError
-from fringe3d.model import Fringe, GrayBit, ImageStack, PatternPlan, Uniform
+from fringe3d.model import (
+    Fringe,
+    GrayBit,
+    ImageStack,
+    MeasuringVolume,
+    PatternPlan,
+    Rig,
+    Uniform,
+)
 
-Method = Literal["auto", "m0", "m1", "m2", "m3", "m4", "m5", "projector"]
+Method = Literal["auto", "m0", "m1", "m2", "m3", "m4", "m5", "m6", "projector"]
 Direction = Literal["auto", "x", "y"]
 
 
@@ -21,7 +29,7 @@ class MeasureOptions:
 
     Parameters
     ----------
-    method : "auto" (the best that plan and rig allow), one of "m0" to "m5" (two cameras, see
+    method : "auto" (the best that plan and rig allow), one of "m0" to "m6" (two cameras, see
         `fringe3d.methods`) or "projector" (one camera and the calibrated projector)
     direction : "auto", "x" or "y"; keep only the fringes and code of this direction. "auto" keeps
         all: one camera and the projector use two directions, two cameras that one whose fringes
@@ -109,3 +117,19 @@ def _steps(indices: Sequence[int], n_shifts: int) -> list[int]:
             f"{n_shifts}"
         )
     return [indices[round(i * len(indices) / n_shifts)] for i in range(n_shifts)]
+
+
+def volume_of(
+    rig: Rig | None, camera_name: str, options: MeasureOptions, /
+) -> MeasuringVolume | None:
+    """Return the rig's volume, cut to the depth range that the options give for a camera."""
+    if rig is None or options.depth_mm is None:
+        return None if rig is None else rig.volume
+    camera = next(c for c in rig.cameras if c.name == camera_name)
+    try:
+        slab = MeasuringVolume.depth_slab(
+            camera, depth_min_mm=options.depth_mm[0], depth_max_mm=options.depth_mm[1]
+        )
+    except ValueError as problem:
+        raise MethodError(f"--depth: {problem}") from None
+    return slab if rig.volume is None else rig.volume.intersection(slab)

@@ -16,7 +16,9 @@ from fringe3d.errors import CalibrationError, EmptyResultError, Fringe3DError, M
 from fringe3d.health import (
     Finding,
     check_ambiguity,
+    check_bias,
     check_epipolar,
+    check_evidence,
     check_files,
     check_phases,
     check_probability,
@@ -28,10 +30,10 @@ from fringe3d.health import (
 from fringe3d.matching import best_direction_first, match
 from fringe3d.methods import choose_method, images_of, settle
 from fringe3d.model import (
+    CalibrationBias,
     Correspondences,
     Device,
     ImageStack,
-    MeasuringVolume,
     PhaseMap,
     PointCloud,
     PointMap,
@@ -39,7 +41,7 @@ from fringe3d.model import (
     Scan,
 )
 from fringe3d.model.rejection import count_by_reason
-from fringe3d.options import MeasureOptions, keep_images
+from fringe3d.options import MeasureOptions, keep_images, volume_of
 from fringe3d.triangulate import (
     remove_edges,
     remove_isolated,
@@ -75,6 +77,7 @@ class Measurement:
     phases : tuple of CameraPhases
     matches : Correspondences or None
     points : PointMap or None
+    bias : CalibrationBias or None; stored or learnt, with which fringe orders were chosen
     findings : tuple of Finding; what the checks found
     seconds : dict; time of each stage
     """
@@ -85,6 +88,7 @@ class Measurement:
     phases: tuple[CameraPhases, ...]
     matches: Correspondences | None = None
     points: PointMap | None = None
+    bias: CalibrationBias | None = None
     findings: tuple[Finding, ...] = ()
     seconds: dict[str, float] = field(default_factory=dict)
 
@@ -133,7 +137,7 @@ def measure(
     clock = _Clock(stage)
     stacks = [keep_images(stack, options) for stack in scan.stacks]
     choice = choose_method(scan.rig, stacks, options)
-    volume = _volume(scan.rig, stacks[0], options)
+    volume = volume_of(scan.rig, stacks[0].device_name, options)
     stacks = [images_of(choice, stack, scan.rig, volume, options) for stack in stacks]
 
     with clock("decoding"):
@@ -156,9 +160,14 @@ def measure(
     camera, other = _devices(scan.rig, stacks, choice.method)
     projector = scan.rig.projector
     with clock("finding correspondences"):
-        matches = match(phases, camera, other, projector, volume, method=choice.method,
-                        options=options)  # fmt: skip
-        findings += _refuse(check_ambiguity(matches, main), MethodError)
+        matched = match(phases, camera, other, projector, volume, method=choice.method,
+                        options=options, bias=scan.rig.bias)  # fmt: skip
+        matches = matched.matches
+        if choice.method == "m6":
+            findings += check_evidence(matches, matched.rival_shift)
+        else:
+            findings += _refuse(check_ambiguity(matches, main), MethodError)
+        findings += check_bias(matched.bias, scan.rig.bias)
         findings += check_probability(matches)
         if other.role == "projector" and not main.is_absolute and volume is not None:
             findings += check_twins(twin_share(main, camera, other, volume))
@@ -174,7 +183,9 @@ def measure(
             if projector is not None:
                 findings += check_trinocular(points, main, projector)
         points = remove_repeated(_clean(points, options, main), matches)
-    result = replace(result, matches=matches, points=points, findings=tuple(findings))
+    result = replace(
+        result, matches=matches, points=points, bias=matched.bias, findings=tuple(findings)
+    )
     return _finish(result, clock)
 
 
@@ -185,19 +196,6 @@ def _devices(rig: Rig, stacks: Sequence[ImageStack], method: str) -> tuple[Devic
         assert rig.projector is not None
         return camera, rig.projector
     return camera, cameras[stacks[1].device_name]
-
-
-def _volume(rig: Rig | None, stack: ImageStack, options: MeasureOptions) -> MeasuringVolume | None:
-    if rig is None or options.depth_mm is None:
-        return None if rig is None else rig.volume
-    camera = next(c for c in rig.cameras if c.name == stack.device_name)
-    try:
-        slab = MeasuringVolume.depth_slab(
-            camera, depth_min_mm=options.depth_mm[0], depth_max_mm=options.depth_mm[1]
-        )
-    except ValueError as problem:
-        raise MethodError(f"--depth: {problem}") from None
-    return slab if rig.volume is None else rig.volume.intersection(slab)
 
 
 def _decode(
@@ -234,7 +232,8 @@ def _clean(points: PointMap, options: MeasureOptions, main: PhaseMap) -> PointMa
 def _finish(result: Measurement, clock: _Clock) -> Measurement:
     """Refuse a result that contradicts the calibration, or that is empty."""
     _refuse(result.findings, CalibrationError)
-    if not (result.rejection == 0).any():
+    is_refused = any(f.name == "undecided_part" and f.level != "ok" for f in result.findings)
+    if not (result.rejection == 0).any() and not is_refused:
         counts = count_by_reason(result.rejection).items()
         counted = ", ".join(f"{count} {name}" for name, count in counts)
         raise EmptyResultError(

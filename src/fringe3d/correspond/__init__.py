@@ -10,15 +10,19 @@ from fringe3d.correspond.projector import (
     resolve_orders,
     twin_share,
 )
+from fringe3d.correspond.solving import Rivals, coarse_stride, rivals
 from fringe3d.correspond.stereo import fringe_crossing, match_cameras
-from fringe3d.correspond.weighing import TwoViews
+from fringe3d.correspond.weighing import Task, TwoViews
 
 __all__ = [
     "FIT_SIGMA",
     "GUARD_PX",
     "ChosenOrders",
+    "Rivals",
+    "Task",
     "TwoViews",
     "choose_orders",
+    "coarse_stride",
     "depths_of_orders",
     "fringe_crossing",
     "guard_px",
@@ -26,5 +30,6 @@ __all__ = [
     "match_cameras",
     "match_projector",
     "resolve_orders",
+    "rivals",
     "twin_share",
 ]

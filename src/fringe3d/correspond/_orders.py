@@ -18,19 +18,15 @@ SHEET_TOLERANCE_PX = 1e-5
 MODEL_ERROR = 0.0015
 """Periods; what remains of harmonics and interpolation where everything else is perfect."""
 
-MOST_SIGMA = 1 / 12
-"""Periods; residuals that are less certain reject nothing: six deviations are half a period."""
-
 DEPTH_STEP = 1e-4
 """Part of the depth by which a point is moved to find its speed in an image."""
 
-UNSEEN_COST = 12.0
-"""A candidate that C2 does not see is as good as one that it sees 3.5 standard deviations off."""
+DEPTH, DIFFERENCE, GRADIENT_X, GRADIENT_Y, VARIANCE, RATIO = range(6)
+"""What C2 shows of a candidate: distance along the ray, mm; phase there less that of C1, turns; its
+gradient, turns / px; variance of the difference, turns**2, but for that of the calibration; phase
+that C2 sees over that of the projector along the ray."""
 
-DEPTH, COST, INSIDE, RESIDUAL, SIGMA, SLOPE, RATIO, GRADIENT = range(8)
-"""Columns of the result of `describe`."""
-
-N_COLUMNS = 8
+N_SHOWN = 6
 
 
 @njit(cache=True, error_model="numpy")
@@ -91,14 +87,10 @@ def _same_class(x, y, phase, order, phase2, class2, class_of_order, first_order)
 
 
 @njit(cache=True, error_model="numpy")
-def _judge(t, i, order, ray1, ray2, axis, period, first, second, errors, bias):  # type: ignore[no-untyped-def]
-    """Return two costs, residual, sigma (periods), slope, ratio and gradient of a candidate.
+def _show(t, i, order, ray1, ray2, axis, period, first, shown):  # type: ignore[no-untyped-def]
+    """Write what C2 shows of a candidate, and return how far the ray goes in one period, mm.
 
-    A cost is a squared residual over its own variance: that of C2, and that of the second direction
-    in the projector. Where C2 sees nothing, or another class of orders, the residual is NaN and the
-    first cost that of a hidden point. Slope and gradient, rad / px, are of the phase in C2,
-    along the curve and in all; the ratio is that of the phases that C2 and the projector have along
-    the ray.
+    The difference is NaN where C2 sees nothing, or another class of orders.
     """
     base_p, along_p, lens_p = ray1
     base_2, along_2, lens_2 = ray2
@@ -106,29 +98,24 @@ def _judge(t, i, order, ray1, ray2, axis, period, first, second, errors, bias): 
     step = DEPTH_STEP * t
     w0 = _across(base_p, along_p[i], t, lens_p, axis)
     w1 = _across(base_p, along_p[i], t + step, lens_p, axis)
-    per_turn = step * period / (w1 - w0)  # mm of the ray in one period
+    per_turn = step * period / (w1 - w0)
+    shown[:] = np.nan
+    shown[DEPTH] = t
     x, y = _pixel(base_2, along_2[i], t, lens_2)
-    x1, y1 = _pixel(base_2, along_2[i], t + step, lens_2)
-    dx, dy = (x1 - x) / step, (y1 - y) / step
-    extra = 0.0
-    if len(second[0]) > 0:
-        extra = _second_cost(t, i, per_turn, sigma1[i], ray1, second, errors[1])
     difference, gx, gy = phase_difference(x, y, phase1[i], phase2)
     if math.isnan(difference) or not _same_class(
         x, y, phase1[i] + difference, order, phase2, class2, class_of_order, first_order
     ):
-        return UNSEEN_COST, extra, np.nan, np.nan, np.nan, np.nan, np.nan
-    speed = math.sqrt(dx * dx + dy * dy)
-    slope = (gx * dx + gy * dy) / speed
-    ratio = slope * speed * per_turn / TWO_PI
+        return per_turn
+    x1, y1 = _pixel(base_2, along_2[i], t + step, lens_2)
+    ratio = (gx * (x1 - x) + gy * (y1 - y)) / step * per_turn / TWO_PI
     noise2 = largest_sigma(x, y, phase2, sigma2)
-    gradient = math.sqrt(gx * gx + gy * gy)
-    own = noise2 * noise2 + ((ratio - 1) * sigma1[i]) ** 2 + (gradient * errors[0]) ** 2
-    sigma = math.sqrt(own / TWO_PI**2 + MODEL_ERROR**2)
-    if not sigma < MOST_SIGMA:
-        return UNSEEN_COST, extra, np.nan, np.nan, np.nan, np.nan, np.nan
-    residual = (difference - (bias[0][i] + bias[1][i] * t) * slope) / TWO_PI
-    return (residual / sigma) ** 2, extra, difference / TWO_PI, sigma, slope, ratio, gradient
+    variance = noise2 * noise2 + ((ratio - 1) * sigma1[i]) ** 2
+    shown[DIFFERENCE] = difference / TWO_PI
+    shown[GRADIENT_X], shown[GRADIENT_Y] = gx / TWO_PI, gy / TWO_PI
+    shown[VARIANCE] = variance / TWO_PI**2 + MODEL_ERROR**2
+    shown[RATIO] = ratio
+    return per_turn
 
 
 @njit(cache=True, error_model="numpy")
@@ -177,17 +164,20 @@ def count_candidates(  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, parallel=True, error_model="numpy")
-def list_candidates(  # type: ignore[no-untyped-def]
-    ends, guard, class1, task, orders, costs, extras, is_seen, is_inside
-):
-    """Write the orders of its class on each pixel's segment, and what speaks against each.
+def list_candidates(ends, guard, class1, task, orders, shown, extras, is_inside):  # type: ignore[no-untyped-def]
+    """Write the orders of its class on each pixel's segment, and what the devices show of them.
 
-    ends: (n, 2) mm, parts of the viewing rays, of the wide segment and of the volume; guard (n,):
-    projector px by which a candidate may lie beyond; class1 (n,): its class of orders; task: see
-    `describe`. Writes orders (rising), costs in C2 and of the second direction, whether C2 sees
-    them and whether they lie in the volume, (n, m); m bounds their number.
+    ends: two (n, 2) mm, parts of the viewing rays, of the wide segment and of the volume; guard
+    (n,): projector px by which a candidate may lie beyond; class1 (n,): its class of orders. task =
+    (ray1, ray2, axis, period, first, second, cal_p): ray1 = (base (3,), along (n, 3), lens) in the
+    projector's frame, ray2 in that of C2; axis (2,), period: of the fringes; first = (phase1 (n,),
+    sigma1 (n,), phase2, sigma2, class2 (maps), class_of_order, first_order); second = (phase1,
+    sigma1, axis, period) of the other direction, empty arrays for none; cal_p: px in the projector.
+
+    Writes orders (rising), what C2 shows (n, m, N_SHOWN), the squared deviations of the second
+    direction and whether the candidate lies in the volume, (n, m); m bounds their number.
     """
-    ray1, ray2, axis, period, first, second, errors, bias = task
+    ray1, ray2, axis, period, first, second, cal_p = task
     wide_ends, inner_ends = ends
     class_of_order, first_order = first[5], first[6]
     for i in prange(len(class1)):
@@ -202,38 +192,29 @@ def list_candidates(  # type: ignore[no-untyped-def]
                 continue
             t = _sheet_depth(ray1[0], ray1[1][i], (order + turns) * period, ray1[2], axis)
             if t > 0:
-                cost, extra, residual, _, _, _, _ = _judge(
-                    t, i, order, ray1, ray2, axis, period, first, second, errors, bias
-                )
-                orders[i, place], costs[i, place], extras[i, place] = order, cost, extra
-                is_seen[i, place] = not math.isnan(residual)
+                per_turn = _show(t, i, order, ray1, ray2, axis, period, first, shown[i, place])
+                if len(second[0]) > 0:
+                    extras[i, place] = _second_cost(
+                        t, i, per_turn, first[1][i], ray1, second, cal_p
+                    )
+                orders[i, place] = order
                 is_inside[i, place] = first_inside <= order <= last_inside
                 place += 1
 
 
 @njit(cache=True, parallel=True, error_model="numpy")
-def describe(order, no_order, ends, guard, task, result):  # type: ignore[no-untyped-def]
-    """Write depth, cost, whether it lies inside `ends`, residual ... of one order (n,) each.
+def weigh(shown, bias, scatter, most_sigma, costs):  # type: ignore[no-untyped-def]
+    """Write the squared deviation of each candidate from what C2 shows, (n, m); NaN if unseen.
 
-    task = (ray1, ray2, axis, period, first, second, errors, bias): ray1 = (base (3,), along (n, 3),
-    lens) in the projector's frame, ray2 in that of C2; axis (2,), period: of the fringes; first =
-    (phase1 (n,), sigma1 (n,), phase2, sigma2, class2 (maps), class_of_order, first_order); second =
-    (phase1, sigma1, axis, period) of the other direction, empty arrays for none; errors = (px in
-    C2, px in the projector) of the calibration; bias: (n,) px along the curve in C2, and its (n,)
-    rise with depth, px / mm.
+    bias (n, 4): displacement in C2, px, at depth 0 (x, y) and its rise with depth; scatter: px that
+    it leaves unexplained.
     """
-    ray1, ray2, axis, period, first, second, errors, bias = task
-    for i in prange(len(order)):
-        result[i, :] = np.nan
-        if order[i] == no_order:
-            continue
-        turns = first[0][i] / TWO_PI
-        t = _sheet_depth(ray1[0], ray1[1][i], (order[i] + turns) * period, ray1[2], axis)
-        lowest, highest = _order_range(ends, i, guard, turns, ray1, axis, period)
-        cost, _, residual, sigma, slope, ratio, gradient = _judge(
-            t, i, order[i], ray1, ray2, axis, period, first, second, errors, bias
-        )
-        result[i, DEPTH], result[i, COST] = t, cost
-        result[i, INSIDE] = 1.0 if lowest <= order[i] <= highest else 0.0
-        result[i, RESIDUAL], result[i, SIGMA] = residual, sigma
-        result[i, SLOPE], result[i, RATIO], result[i, GRADIENT] = slope, ratio, gradient
+    for i in prange(shown.shape[0]):
+        for a in range(shown.shape[1]):
+            t, gx, gy = shown[i, a, DEPTH], shown[i, a, GRADIENT_X], shown[i, a, GRADIENT_Y]
+            expected = gx * (bias[i, 0] + bias[i, 2] * t) + gy * (bias[i, 1] + bias[i, 3] * t)
+            residual = shown[i, a, DIFFERENCE] - expected
+            residual -= math.floor(residual + 0.5)
+            variance = shown[i, a, VARIANCE] + (gx * gx + gy * gy) * scatter * scatter
+            fits = variance < most_sigma * most_sigma
+            costs[i, a] = residual * residual / variance if fits else np.nan

@@ -1,15 +1,20 @@
-"""The calibration's smooth error, as displacement of points along their curves in C2."""
+"""Learning the calibration's bias from the residuals of points whose fringe order is clear."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
 
-PRIOR_PX, DEPTH_PRIOR_PX = 0.25, 0.05
-"""Displacements that are not seen are taken to be of this size; those that change with the depth
-are smaller, and a single surface does not tell them from those that change with the pixel."""
+from fringe3d.model import CalibrationBias, Device
+from fringe3d.model.bias import N_TERMS, terms_of
+
+Floats = NDArray[np.float64]
+
+PRIOR_PX = 0.25
+"""What a good calibration misses by, as a displacement in C2."""
 
 LEAST_PART, LEAST_PIXELS = 0.2, 2000
 """Fewer clear decisions tell nothing about the rest."""
@@ -19,104 +24,166 @@ SAMPLE = 20_000
 ROUNDS = 8
 MAD_TO_SIGMA = 1.4826
 
+PATCH_PX = 16
+"""Width of the patches within which errors are alike."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Frame:
+    """Over what the displacement is a function: `middle` and `scale` of `CalibrationBias`."""
+
+    middle: Floats
+    scale: Floats
+    angle: float
+
+    def prior_px(self) -> Floats:
+        """Return the expected size of each coefficient, (9,).
+
+        What changes with the depth is smaller in the measure in which the depth changes.
+        """
+        of_depth = min(1.0, 2 * self.scale[2] / self.middle[2])
+        return PRIOR_PX * np.array([1.0] * 6 + [of_depth] * 3)
+
+    def bias(
+        self, coefficients: Floats, *, scatter_px: float, sigma_px: float = 0.0
+    ) -> CalibrationBias:
+        """Return a bias with these coefficients, (18,)."""
+        return CalibrationBias(
+            coefficients_px=coefficients.reshape(2, N_TERMS),
+            middle=self.middle,
+            scale=self.scale,
+            scatter_px=scatter_px,
+            sigma_px=sigma_px,
+            angle=self.angle,
+        )
+
+    def constant(self, displacement: tuple[float, ...], *, scatter_px: float) -> CalibrationBias:
+        """Return the same displacement (2,), px, everywhere."""
+        coefficients = np.zeros((2, N_TERMS))
+        coefficients[:, 0] = displacement
+        return self.bias(coefficients, scatter_px=scatter_px)
+
+
+def frame_of(camera: Device, depths_mm: tuple[float, float], angle: float, /) -> Frame:
+    """Return the frame of an image of C1 and a range of distances along its rays."""
+    near, far = depths_mm
+    size = np.array([camera.n_cols, camera.n_rows])
+    return Frame(
+        middle=np.r_[(size - 1) / 2, (near + far) / 2],
+        scale=np.r_[size / 2, max((far - near) / 2, 1e-6)],
+        angle=angle,
+    )
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Bias:
-    """Displacement in C2, px along the epipolar curve, as a smooth function of pixel and depth.
-
-    Parameters
-    ----------
-    coefficients : (12,) float64, px; quadratic in the pixel, linear in the depth
-    middle, scale : (3,) float64; of (x, y, depth), that map the data to about -1 to 1
-    scatter_px : float, px; what the function leaves unexplained
-    is_known : bool; False where nothing was learnt and all coefficients are 0
-    """
-
-    coefficients: NDArray[np.float64]
-    middle: NDArray[np.float64]
-    scale: NDArray[np.float64]
-    scatter_px: float
-    is_known: bool
-
-    def along(self, pixels: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return (n,) px and (n,) px / mm: the displacement at depth 0 and its rise with depth.
-
-        Parameters
-        ----------
-        pixels : (n, 2) float, px; of C1
-        """
-        terms = _terms(pixels, self.middle[:2], self.scale[:2])
-        rise = terms @ self.coefficients[6:] / self.scale[2]
-        return terms @ self.coefficients[:6] - rise * self.middle[2], rise
-
-
-def no_bias(scatter_px: float, /) -> Bias:
-    """Return a bias of which nothing is known but its size, px."""
-    return Bias(coefficients=np.zeros(12), middle=np.zeros(3), scale=np.ones(3),
-                scatter_px=scatter_px, is_known=False)  # fmt: skip
-
-
-def learn_bias(
-    pixels: NDArray[np.float64],
-    depths_mm: NDArray[np.float64],
-    /,
-    *,
-    residual: NDArray[np.float64],
-    noise: NDArray[np.float64],
-    obliqueness: NDArray[np.float64],
-    is_clear: NDArray[np.bool_],
-    expected_px: float,
-) -> Bias:
-    """Fit a smooth displacement to the residuals of the pixels whose order is clear.
+class Evidence:
+    """Residuals of points whose order is clear, (n, ...).
 
     Parameters
     ----------
     pixels : (n, 2) float, px; of C1
-    depths_mm : (n,) float, mm
-    residual, noise : (n,) float, px in C2 along the curve; noise is without the calibration's
-    obliqueness : (n,) float; phase gradient of C2 along the curve over the whole one: what
-        displaces points in any direction shows so much larger along the curve
-    is_clear : (n,) bool
-    expected_px : float, px; the scatter where nothing can be learnt
+    depths_mm : (n,) float
+    difference : (n,) float, turns; phase that C2 shows less that of C1
+    gradient : (n, 2) float, turns / px; of the phase in C2
+    variance : (n,) float, turns**2; of the difference, but for the calibration
+    """
+
+    pixels: Floats
+    depths_mm: Floats
+    difference: Floats
+    gradient: Floats
+    variance: Floats
+
+    def __len__(self) -> int:
+        return len(self.difference)
+
+    def part(self, index: NDArray[np.intp] | slice) -> Evidence:
+        """Return some of the points."""
+        return Evidence(
+            pixels=self.pixels[index],
+            depths_mm=self.depths_mm[index],
+            difference=self.difference[index],
+            gradient=self.gradient[index],
+            variance=self.variance[index],
+        )
+
+
+def joined(parts: Sequence[Evidence], /) -> Evidence:
+    """Return the points of several measurements together."""
+    return Evidence(
+        **{f.name: np.concatenate([getattr(part, f.name) for part in parts])
+           for f in fields(Evidence)}
+    )  # fmt: skip
+
+
+def learn_bias(
+    evidence: Evidence,
+    frame: Frame,
+    /,
+    *,
+    start: CalibrationBias | None = None,
+    n_alike: float = PATCH_PX**2,
+) -> CalibrationBias:
+    """Fit a smooth displacement to residuals.
+
+    Parameters
+    ----------
+    evidence : Evidence
+    frame : Frame
+    start : CalibrationBias or None; where the residuals are unwrapped around, and the fit begins
+    n_alike : float; neighbours whose errors are alike: harmonics, interpolation, reflections. They
+        are one datum against the prior
 
     Returns
     -------
-    Bias
+    CalibrationBias
 
     Notes
     -----
-    Robust least squares (Cauchy weights) with a ridge prior.
+    A displacement ``d`` in C2 shows as ``gradient . d``. Robust least squares (Cauchy weights) with
+    a ridge prior.
     """
-    known = np.isfinite(residual) & np.isfinite(noise) & np.isfinite(obliqueness)
-    usable = np.flatnonzero(is_clear & known)
-    if len(usable) < max(LEAST_PIXELS, LEAST_PART * len(pixels)):
-        return no_bias(expected_px)
-    usable = usable[:: max(1, len(usable) // SAMPLE)]
-    data = np.column_stack([pixels[usable], depths_mm[usable]])
-    middle, scale = data.mean(axis=0), np.maximum(2 * data.std(axis=0), 1e-9)
-    terms = _terms(pixels[usable], middle[:2], scale[:2])
-    terms = np.hstack([terms, terms * ((depths_mm[usable] - middle[2]) / scale[2])[:, None]])
-    prior = np.diag(np.repeat([PRIOR_PX, DEPTH_PRIOR_PX], 6) ** -2.0)
-    y = residual[usable]
-    coefficients: NDArray[np.float64] = np.zeros(terms.shape[1])
-    scatter = max(MAD_TO_SIGMA * float(np.median(np.abs(y - np.median(y)))), LEAST_SCATTER_PX)
+    data = evidence.part(slice(None, None, max(1, len(evidence) // SAMPLE)))
+    terms = terms_of(data.pixels, data.depths_mm, frame.middle, frame.scale)
+    design = np.hstack([data.gradient[:, :1] * terms, data.gradient[:, 1:] * terms])
+    prior = np.diag(np.tile(frame.prior_px(), 2) ** -2.0)
+    steepness = np.linalg.norm(data.gradient, axis=1)
+    own = np.sqrt(data.variance)
+    share = len(evidence) / max(len(data), 1) / n_alike  # patches for each datum
+    coefficients = np.zeros(2 * N_TERMS) if start is None else start.coefficients_px.ravel()
+    scatter = 0.3 if start is None else max(start.scatter_px, LEAST_SCATTER_PX)
+    normal = prior
     for _ in range(ROUNDS):
-        left = y - terms @ coefficients
-        weight = 1 / (1 + (left / (2 * scatter)) ** 2) / scatter**2
-        normal = (terms * weight[:, None]).T @ terms + prior
-        coefficients = np.asarray(np.linalg.solve(normal, (terms * weight[:, None]).T @ y))
-        left = y - terms @ coefficients
-        scatter = max(MAD_TO_SIGMA * float(np.median(np.abs(left))), LEAST_SCATTER_PX)
-    oblique = obliqueness[usable]
-    scatter = MAD_TO_SIGMA * float(np.median(np.abs(y - terms @ coefficients) * oblique))
-    own = float(np.median(noise[usable] * oblique))
-    scatter = max(float(np.sqrt(max(scatter**2 - own**2, 0))), LEAST_SCATTER_PX)
-    return Bias(coefficients=coefficients, middle=middle, scale=scale, scatter_px=scatter,
-                is_known=True)  # fmt: skip
+        sigma = np.hypot(own, scatter * steepness)
+        left = data.difference - design @ coefficients
+        turns = np.rint(left)
+        left = left - turns
+        weight = 1 / (1 + (left / (2 * sigma)) ** 2) / sigma**2 * share
+        normal = (design * weight[:, None]).T @ design
+        target = data.difference - turns
+        coefficients = np.linalg.solve(normal + prior, (design * weight[:, None]).T @ target)
+        scatter = _scatter(data, data.difference - turns - design @ coefficients)
+    return frame.bias(coefficients, scatter_px=scatter, sigma_px=_uncertainty(normal + prior))
 
 
-def _terms(
-    pixels: NDArray[np.float64], middle: NDArray[np.float64], scale: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    x, y = ((pixels - middle) / scale).T
-    return np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=1)
+def _scatter(data: Evidence, left: Floats) -> float:
+    """Return what residuals show beyond their noise, px."""
+    steepness = np.linalg.norm(data.gradient, axis=1)
+    usable = steepness > 0
+    per_px = left[usable] / steepness[usable]
+    all_px = MAD_TO_SIGMA * float(np.median(np.abs(per_px))) if usable.any() else 0.0
+    noise = np.sqrt(data.variance[usable]) / steepness[usable]
+    noise_px = float(np.median(noise)) if usable.any() else 0.0
+    return max(float(np.sqrt(max(all_px**2 - noise_px**2, 0))), LEAST_SCATTER_PX)
+
+
+def _uncertainty(normal: Floats) -> float:
+    """Return the rms standard deviation of the displacement over image and volume, px."""
+    x, y, t = (a.ravel() for a in np.meshgrid(*[np.linspace(-0.8, 0.8, 5)] * 3))
+    terms = terms_of(np.stack([x, y], axis=1), t, np.zeros(3), np.ones(3))
+    covariance = np.linalg.inv(normal)
+    variance = sum(
+        np.einsum("ij,jk,ik->i", terms, covariance[at, at], terms)
+        for at in (slice(0, N_TERMS), slice(N_TERMS, None))
+    )
+    return float(np.sqrt(np.mean(variance)))

@@ -12,9 +12,25 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fringe3d.correspond.bias import Bias
-from fringe3d.correspond.weighing import Choice, Task, TwoViews, agrees_with_c2, swapped
-from fringe3d.model import NO_ORDER, Device, MeasuringVolume, PhaseMap, Rejection
+from fringe3d.correspond._orders import DIFFERENCE, RATIO
+from fringe3d.correspond.solving import coarse_stride, rivals, solve
+from fringe3d.correspond.visibility import takes_foreign_light
+from fringe3d.correspond.weighing import (
+    Choice,
+    Task,
+    TwoViews,
+    agrees_with_c2,
+    swapped,
+    swapped_bias,
+)
+from fringe3d.model import (
+    NO_ORDER,
+    CalibrationBias,
+    Device,
+    MeasuringVolume,
+    PhaseMap,
+    Rejection,
+)
 from fringe3d.model.rejection import reject
 
 FIT_SIGMA = 6.0
@@ -38,7 +54,8 @@ class ChosenOrders:
     residual : (row, col) float32, periods; phase that C2 sees at the point minus that of C1, the
         calibration's bias included
     sigma : (row, col) float32, periods; predicted standard deviation of `residual` less the bias
-    bias : Bias; of the calibration, as the clear decisions show it
+    bias : CalibrationBias; as stored, or as the clear decisions show it
+    rival_shift : int; see `fringe3d.matching.Matched`
     """
 
     phases: PhaseMap
@@ -46,7 +63,8 @@ class ChosenOrders:
     half_px: NDArray[np.float64]
     residual: NDArray[np.float32]
     sigma: NDArray[np.float32]
-    bias: Bias
+    bias: CalibrationBias
+    rival_shift: int = 0
 
 
 def choose_orders(
@@ -55,6 +73,8 @@ def choose_orders(
     volume: MeasuringVolume,
     /,
     *,
+    bias: CalibrationBias | None = None,
+    search: bool = False,
     min_probability: float = 0.9,
     fit_sigma: float = FIT_SIGMA,
     together: bool = True,
@@ -73,6 +93,9 @@ def choose_orders(
     views : TwoViews
     projector : Device
     volume : MeasuringVolume
+    bias : CalibrationBias or None; of the rig; None learns it from the images
+    search : bool; where the bias is not known, look for all that go with the images. Where they
+        come with different orders, these are less probable
     min_probability : float; less probable orders are AMBIGUOUS; 0 takes the best that fits
     fit_sigma : float; residuals beyond are no fit
     together : bool; decide with the evidence of all pixels along eight paths through each, on
@@ -90,23 +113,35 @@ def choose_orders(
     c the calibration's error in C2, px, and m = 0.0015.
     """
     task = Task(views, projector, volume, fit_sigma**2, together)
-    chosen, bias = task.solve()
+    rival = None
+    if search and bias is None:
+        stride = coarse_stride(views.phases1.phase)
+        rival = rivals([Task(views, projector, volume, fit_sigma**2, together, stride)])
+        bias = rival.best if rival is not None else None
+    chosen, bias = solve(task, bias)
+    if rival is not None:
+        agreement = rival.agreement(views.phases1.phase.shape)[task.valid]
+        chosen = replace(chosen, probability=chosen.probability * agreement)
     agrees = np.ones(len(task.pixels), bool)
-    if together and not views.phases1.is_absolute:
+    if together and not views.phases1.is_absolute and len(task.pixels):
         back = Task(swapped(views), projector, volume, fit_sigma**2, together)
-        agrees = agrees_with_c2(task, chosen, back, back.solve()[0], strict=strict)
-    return _chosen(task, chosen, bias, agrees, min_probability)
+        seen_back, _ = solve(back, swapped_bias(bias, task, projector, back.frame))
+        agrees = agrees_with_c2(task, chosen, back, seen_back, strict=strict)
+        trusted = agrees & (chosen.cost <= task.limit)
+        agrees &= ~takes_foreign_light(task, chosen, trusted, projector)
+    found = _chosen(task, chosen, bias, agrees, min_probability)
+    return replace(found, rival_shift=rival.shift() if rival is not None else 0)
 
 
 def _chosen(
     task: Task,
     chosen: Choice,
-    bias: Bias,
+    bias: CalibrationBias,
     agrees: NDArray[np.bool_],
     min_probability: float,
 ) -> ChosenOrders:
     phases1, valid = task.views.phases1, task.valid
-    fits = np.isfinite(chosen.residual) & (chosen.cost <= task.limit)
+    fits = chosen.cost <= task.limit
     rejection = np.zeros(valid.shape, np.uint16)
     for where, reason in (
         (task.misses | (fits & ~chosen.is_inside), Rejection.OUTSIDE_VOLUME),
@@ -120,12 +155,14 @@ def _chosen(
         order_class=_spread(chosen.order, valid, fill=NO_ORDER),
         class_of_order=all_orders,
     ).rejecting(rejection)
+    difference, ratio = chosen.shown[:, DIFFERENCE], chosen.shown[:, RATIO]
     # C2 may see the phase change many times as fast as the projector: a period there must do.
-    seen = np.clip(np.abs(chosen.residual) + 4 * chosen.sigma, *SEARCH_TURNS)
-    window = np.minimum(seen / np.maximum(np.abs(chosen.ratio), LEAST_RATIO), 0.5)
+    sigma = task.sigma(chosen, bias)
+    seen = np.clip(np.abs(difference) + 4 * sigma, *SEARCH_TURNS)
+    window = np.minimum(seen / np.maximum(np.abs(ratio), LEAST_RATIO), 0.5)
     probability, residual, sigma = (
         np.where(phases.rejection == 0, _spread(values, valid, fill=np.nan), np.nan)
-        for values in (chosen.probability, chosen.residual, chosen.sigma)
+        for values in (chosen.probability, difference, sigma)
     )
     return ChosenOrders(
         phases=phases,

@@ -9,11 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fringe3d.correspond import _aggregate, _orders
-from fringe3d.correspond.bias import Bias, learn_bias, no_bias
+from fringe3d.correspond.bias import Evidence, Frame, frame_of
 from fringe3d.correspond.projector import OUTSIDE_PART, guard_px
-from fringe3d.geometry import depth_interval, pixel_grid, project, rays
+from fringe3d.geometry import depth_interval, pixel_grid, project, rays, sheet_crossing
 from fringe3d.geometry.projection import lens_of
-from fringe3d.model import NO_ORDER, Device, MeasuringVolume, PhaseMap
+from fringe3d.model import NO_ORDER, CalibrationBias, Device, MeasuringVolume, PhaseMap
+from fringe3d.model.bias import terms_of
+from fringe3d.patterns import across
 
 TWO_PI = 2 * np.pi
 
@@ -28,6 +30,13 @@ Something that hides one pixel from C2 hides its neighbours, too: it must not co
 LARGEST_EXTRA = 6.0
 """The same for the second direction, which nothing hides from the projector."""
 
+UNSEEN_COST = 12.0
+"""Squared deviations, where pixels decide alone: a candidate that C2 does not see is as good as one
+that it sees 3.5 standard deviations off."""
+
+MOST_SIGMA = 1 / 12
+"""Turns; residuals that are less certain reject nothing: six deviations are half a turn."""
+
 SAME_ORDER = 0.5
 """Periods between what C1 and C2 decide for one point."""
 
@@ -36,6 +45,9 @@ CLEAR = 0.99
 
 EXPECTED_CALIBRATION_PX = 0.3
 """Of C2; what a good rig's calibration may be wrong by before its bias is known."""
+
+BIAS_SAMPLE, BIAS_DEPTHS = 2000, 3
+"""Rays and depths at which a smooth displacement is carried over to the other camera."""
 
 PROJECTOR_CALIBRATION_PX = 0.5
 """Projector px, in the second fringe direction."""
@@ -67,50 +79,52 @@ class TwoViews:
         return self.second1, self.second2
 
 
-def _evidence_of_bias(chosen: Choice, limit: float) -> dict[str, Any]:
-    """Return the residuals of clear decisions as displacements in C2, px along the curve."""
-    per_period = TWO_PI / np.where(chosen.slope == 0, np.nan, chosen.slope)  # px
-    of_calibration = EXPECTED_CALIBRATION_PX * chosen.gradient / TWO_PI
-    own = np.sqrt(np.maximum(chosen.sigma**2 - of_calibration**2, 0))
-    return {
-        "residual": chosen.residual * per_period,
-        "noise": own * np.abs(per_period),
-        "obliqueness": np.abs(chosen.slope)
-        / np.where(chosen.gradient > 0, chosen.gradient, np.nan),
-        "is_clear": (chosen.probability > CLEAR) & (chosen.cost < limit),
-        "expected_px": EXPECTED_CALIBRATION_PX,
-    }
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Choice:
-    """The order chosen for each valid pixel, (n,) each, and how well C2 fits it."""
+    """The order chosen for each valid pixel, (n,) each, and what C2 shows of it.
+
+    `cost` is the squared residual over its variance, NaN where C2 does not see the point; `shown`
+    (n, N_SHOWN) as in `_orders`.
+    """
 
     order: NDArray[np.int32]
     probability: NDArray[np.float64]
-    depth_mm: NDArray[np.float64]
     cost: NDArray[np.float64]
     is_inside: NDArray[np.bool_]
-    residual: NDArray[np.float64]
-    sigma: NDArray[np.float64]
-    slope: NDArray[np.float64]
-    ratio: NDArray[np.float64]
-    gradient: NDArray[np.float64]
+    shown: NDArray[np.float32]
+
+    @property
+    def depth_mm(self) -> NDArray[np.float64]:
+        """Return the distance along the ray, (n,)."""
+        return self.shown[:, _orders.DEPTH].astype(np.float64)
+
+    def clear(self, pixels: NDArray[np.float64], where: NDArray[Any], /) -> Evidence:
+        """Return what some of the pixels tell of the calibration."""
+        shown = self.shown[where].astype(np.float64)
+        return Evidence(
+            pixels=pixels[where],
+            depths_mm=shown[:, _orders.DEPTH],
+            difference=shown[:, _orders.DIFFERENCE],
+            gradient=shown[:, [_orders.GRADIENT_X, _orders.GRADIENT_Y]],
+            variance=shown[:, _orders.VARIANCE],
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Candidates:
-    """The orders on each pixel's segment, (n, m), and what speaks against them (squared sigmas)."""
+class Candidates:
+    """The orders on each pixel's segment, (n, m), and what the devices show of them."""
 
     orders: NDArray[np.int32]
-    costs: NDArray[np.float32]
+    shown: NDArray[np.float32]
     extras: NDArray[np.float32]
-    is_seen: NDArray[np.bool_]
     is_inside: NDArray[np.bool_]
 
 
 class Task:
-    """Everything about the pixels of one measurement that does not change with the bias."""
+    """The candidates of the pixels of one measurement; they do not depend on the bias.
+
+    With a `stride` (rows, columns) it takes a part of the pixels.
+    """
 
     def __init__(
         self,
@@ -119,18 +133,20 @@ class Task:
         volume: MeasuringVolume,
         limit: float,
         together: bool,
+        stride: tuple[int, int] = (1, 1),
     ) -> None:
         phases1, phases2 = views.phases1, views.phases2
         self.views, self.limit, self.together = views, limit, together
-        self.valid = phases1.rejection == 0
-        self.pixels = pixel_grid(self.valid.shape)[self.valid]
+        self.grid = (slice(None, None, stride[0]), slice(None, None, stride[1]))
+        self.phase = np.ascontiguousarray(phases1.phase[self.grid])
+        self.valid = phases1.rejection[self.grid] == 0
+        self.pixels = pixel_grid(phases1.phase.shape)[self.grid][self.valid]
         origin, directions = rays(views.camera1, self.pixels)
         near, far = depth_interval(origin, directions, volume)
-        inside = near < far
         self.ends = np.column_stack([near, far])
         self.wide_ends = _wide_ends(near, far)
-        self.misses = ~inside
-        self.guard = guard_px(phases1)[self.valid]
+        self.misses = ~(near < far)
+        self.guard = self._of(guard_px(phases1))
         self.axis = np.array([np.cos(phases1.angle), np.sin(phases1.angle)])
         self.ray_p, self.ray_2 = (
             (
@@ -141,95 +157,97 @@ class Task:
             for device in (projector, views.camera2)
         )
         self.first = (
-            phases1.phase[self.valid],
-            phases1.phase_std[self.valid],
+            self._of(phases1.phase),
+            self._of(phases1.phase_std),
             phases2.phase,
             phases2.phase_std,
             phases2.order_class,
             phases1.class_of_order,
             phases1.first_order,
         )
-        self.n_labels = self._most_labels()
+        self.listed = self._listed()
 
-    def _most_labels(self) -> int:
-        """Return the largest number of orders of one class between the wide ends."""
-        phases1, count = self.views.phases1, np.zeros(len(self.pixels), np.int32)
-        _orders.count_candidates(
-            self.wide_ends, self.guard, phases1.order_class[self.valid], self.ray_p, self.axis,
-            phases1.period_px, self.first[0], phases1.class_of_order, phases1.first_order, count,
-        )  # fmt: skip
-        return max(1, int(count.max(initial=1)))
+    @property
+    def frame(self) -> Frame:
+        """Return over what the bias is a function; an empty volume has any."""
+        ends = self.wide_ends[np.isfinite(self.wide_ends).all(axis=1)]
+        depths = (float(ends[0, 0]), float(ends[0, 1])) if len(ends) else (1.0, 2.0)
+        return frame_of(self.views.camera1, depths, self.views.phases1.angle)
+
+    def _of(self, image: NDArray[Any]) -> NDArray[Any]:
+        return np.ascontiguousarray(image[self.grid][self.valid])
 
     def _second(self) -> tuple[object, ...]:
         one = self.views.second1
         if one is None:
             none = np.empty(0, np.float32)
             return none, none, np.zeros(2), 1.0
-        return (
-            one.phase[self.valid],
-            one.phase_std[self.valid],
-            np.array([np.cos(one.angle), np.sin(one.angle)]),
-            one.period_px,
-        )
+        axis = np.array([np.cos(one.angle), np.sin(one.angle)])
+        return self._of(one.phase), self._of(one.phase_std), axis, one.period_px
 
-    def solve(self) -> tuple[Choice, Bias]:
-        """Choose, learn the calibration's bias from what is clear, and choose again."""
-        chosen = self.decide(no_bias(EXPECTED_CALIBRATION_PX))
-        bias = learn_bias(self.pixels, chosen.depth_mm, **_evidence_of_bias(chosen, self.limit))
-        return (self.decide(bias) if bias.is_known else chosen), bias
-
-    def decide(self, bias: Bias) -> Choice:
-        """List the candidates, weigh them, and choose."""
-        task = (
-            self.ray_p,
-            self.ray_2,
-            self.axis,
-            self.views.phases1.period_px,
-            self.first,
-            self._second(),
-            (bias.scatter_px, PROJECTOR_CALIBRATION_PX),
-            bias.along(self.pixels),
-        )
-        shape = (len(self.pixels), self.n_labels)
-        listed = _Candidates(
+    def _listed(self) -> Candidates:
+        phases1, count = self.views.phases1, np.zeros(len(self.pixels), np.int32)
+        classes = self._of(phases1.order_class)
+        _orders.count_candidates(
+            self.wide_ends, self.guard, classes, self.ray_p, self.axis, phases1.period_px,
+            self.first[0], phases1.class_of_order, phases1.first_order, count,
+        )  # fmt: skip
+        shape = (len(self.pixels), max(1, int(count.max(initial=1))))
+        listed = Candidates(
             orders=np.full(shape, NO_ORDER, np.int32),
-            costs=np.zeros(shape, np.float32),
+            shown=np.full((*shape, _orders.N_SHOWN), np.nan, np.float32),
             extras=np.zeros(shape, np.float32),
-            is_seen=np.zeros(shape, bool),
             is_inside=np.zeros(shape, bool),
         )
-        classes = self.views.phases1.order_class[self.valid]
+        task = (self.ray_p, self.ray_2, self.axis, phases1.period_px, self.first, self._second(),
+                PROJECTOR_CALIBRATION_PX)  # fmt: skip
         _orders.list_candidates(
-            (self.wide_ends, self.ends), self.guard, classes, task, listed.orders, listed.costs,
-            listed.extras, listed.is_seen, listed.is_inside,
+            (self.wide_ends, self.ends), self.guard, classes, task, listed.orders, listed.shown,
+            listed.extras, listed.is_inside,
         )  # fmt: skip
-        order, probability = self._most_probable(listed)
-        result = np.empty((len(order), _orders.N_COLUMNS))
-        _orders.describe(order, NO_ORDER, self.ends, self.guard, task, result)
-        depth, cost, inside, residual, sigma, slope, ratio, gradient = result.T
-        return Choice(order, probability, depth, cost, inside > 0, residual, sigma, slope, ratio,
-                      gradient)  # fmt: skip
+        return listed
 
-    def _most_probable(self, listed: _Candidates) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
-        """Return the most probable candidate of each pixel, (n,), and its probability."""
-        orders = listed.orders
-        if self.together:
-            index = np.full(self.valid.shape, -1, np.int32)
-            index[self.valid] = np.arange(len(orders), dtype=np.int32)
-            own = np.where(listed.is_seen, np.minimum(listed.costs / 2, LARGEST_COST), HIDDEN_COST)
-            own += np.minimum(listed.extras / 2, LARGEST_EXTRA)
-            own = np.where(orders == NO_ORDER, _aggregate.FAR, own).astype(np.float32)
-            energy = _aggregate.aggregate(self.views.phases1.phase, index, orders, own)
-        else:
-            energy = np.minimum(listed.costs + listed.extras, self.limit) / 2
-            energy = np.where(orders == NO_ORDER, _aggregate.FAR, energy)
-        energy += OUTSIDE_COST * ~listed.is_inside
+    def decide(self, bias: CalibrationBias, *, scatter_px: float | None = None) -> Choice:
+        """Weigh the candidates, and choose; `scatter_px` stands for that of the bias."""
+        scatter = bias.scatter_px if scatter_px is None else scatter_px
+        orders = self.listed.orders
+        costs = np.empty(orders.shape, np.float32)
+        along = bias.along(self.pixels)
+        _orders.weigh(self.listed.shown, along, scatter, MOST_SIGMA, costs)
+        energy = self._energy(costs)
         best = energy.argmin(axis=1)
         weights = np.exp(-(energy - energy.min(axis=1, keepdims=True)).astype(np.float64))
         weights[orders == NO_ORDER] = 0
         total = weights.sum(axis=1)
-        probability = np.divide(1, total, out=np.full(len(total), np.nan), where=total > 0)
-        return orders[np.arange(len(orders)), best], probability
+        here = np.arange(len(orders)), best
+        return Choice(
+            order=orders[here],
+            probability=np.divide(1, total, out=np.full(len(total), np.nan), where=total > 0),
+            cost=costs[here].astype(np.float64),
+            is_inside=self.listed.is_inside[here],
+            shown=self.listed.shown[here],
+        )
+
+    def sigma(self, chosen: Choice, bias: CalibrationBias) -> NDArray[np.float64]:
+        """Return the standard deviation of the chosen orders' residuals, (n,), turns."""
+        shown = chosen.shown.astype(np.float64)
+        steepness = np.hypot(shown[:, _orders.GRADIENT_X], shown[:, _orders.GRADIENT_Y])
+        return np.asarray(np.sqrt(shown[:, _orders.VARIANCE] + (bias.scatter_px * steepness) ** 2))
+
+    def _energy(self, costs: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return what speaks against each candidate, half squared deviations, (n, m)."""
+        orders, extras = self.listed.orders, self.listed.extras
+        if self.together:
+            index = np.full(self.valid.shape, -1, np.int32)
+            index[self.valid] = np.arange(len(orders), dtype=np.int32)
+            own = np.fmin(np.nan_to_num(costs / 2, nan=HIDDEN_COST), LARGEST_COST)
+            own += np.minimum(extras / 2, LARGEST_EXTRA)
+            own = np.where(orders == NO_ORDER, _aggregate.FAR, own).astype(np.float32)
+            energy = _aggregate.aggregate(self.phase, index, orders, own)
+        else:
+            energy = np.minimum(np.nan_to_num(costs, nan=UNSEEN_COST) + extras, self.limit) / 2
+            energy = np.where(orders == NO_ORDER, _aggregate.FAR, energy)
+        return np.asarray(energy + OUTSIDE_COST * ~self.listed.is_inside, np.float32)
 
 
 def _wide_ends(near: NDArray[np.float64], far: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -259,6 +277,33 @@ def swapped(views: TwoViews, /) -> TwoViews:
     )
 
 
+def swapped_bias(
+    bias: CalibrationBias, task: Task, projector: Device, frame: Frame
+) -> CalibrationBias:
+    """Return the same bias as C2 and the projector see it in C1.
+
+    A pixel of C1 and a light sheet place a point; C2 sees it displaced. From there, with the same
+    sheet, C2 places another point, which C1 sees displaced against its pixel.
+    """
+    views, angle = task.views, task.views.phases1.angle
+    index = np.linspace(0, len(task.pixels) - 1, BIAS_SAMPLE).astype(int)
+    pixels = np.repeat(task.pixels[index], BIAS_DEPTHS, axis=0)
+    parts = np.tile(np.linspace(0, 1, BIAS_DEPTHS), len(index))
+    near, far = np.repeat(task.wide_ends[index], BIAS_DEPTHS, axis=0).T
+    depths = near + parts * (far - near)
+    origin, directions = rays(views.camera1, pixels)
+    points = origin + depths[:, None] * directions
+    x, y = project(projector, points).T
+    seen = project(views.camera2, points) - bias.displacement(pixels, depths)
+    origin2, directions2 = rays(views.camera2, seen)
+    depths2 = sheet_crossing(projector, origin2, directions2, across(angle, x, y), angle)
+    missed = project(views.camera1, origin2 + depths2[:, None] * directions2) - pixels
+    usable = np.isfinite(missed).all(axis=1)
+    terms = terms_of(seen[usable], depths2[usable], frame.middle, frame.scale)
+    coefficients = np.linalg.lstsq(terms, missed[usable])[0].T.astype(np.float64)
+    return frame.bias(coefficients.ravel(), scatter_px=bias.scatter_px)
+
+
 def agrees_with_c2(
     task: Task, chosen: Choice, back: Task, chosen_back: Choice, *, strict: bool
 ) -> NDArray[np.bool_]:
@@ -268,10 +313,10 @@ def agrees_with_c2(
     that agrees is enough, and so is that none is certain of its order; if strict, one that is
     certain must agree.
     """
-    camera2, phases1, phases2 = task.views.camera2, task.views.phases1, task.views.phases2
+    camera2, phases2 = task.views.camera2, task.views.phases2
     origin, directions = rays(task.views.camera1, task.pixels)
     places = project(camera2, origin + chosen.depth_mm[:, None] * directions)
-    turns1 = chosen.order + phases1.phase[task.valid] / TWO_PI
+    turns1 = chosen.order + task.first[0] / TWO_PI
     decided = chosen_back.order != NO_ORDER
     certain = decided & (chosen_back.probability > CLEAR) & (chosen_back.cost <= task.limit)
     turns2, certain2 = np.full(camera2.shape, np.nan), np.zeros(camera2.shape, bool)

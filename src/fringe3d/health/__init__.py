@@ -3,7 +3,9 @@
 from fringe3d.health.finding import Finding
 from fringe3d.health.geometry import (
     check_ambiguity,
+    check_bias,
     check_epipolar,
+    check_evidence,
     check_probability,
     check_trinocular,
     check_twins,
@@ -17,7 +19,9 @@ __all__ = [
     "Finding",
     "axis_name",
     "check_ambiguity",
+    "check_bias",
     "check_epipolar",
+    "check_evidence",
     "check_files",
     "check_phases",
     "check_probability",

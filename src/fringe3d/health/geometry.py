@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from fringe3d.geometry import project
 from fringe3d.health.finding import Finding, Level
-from fringe3d.model import Correspondences, Device, PhaseMap, PointMap, Rejection
+from fringe3d.model import CalibrationBias, Correspondences, Device, PhaseMap, PointMap, Rejection
 from fringe3d.patterns import across
 
 TWO_PI = 2 * np.pi
@@ -28,6 +28,11 @@ TWIN_WARNING = 0.05
 
 DOUBTFUL_ORDER, DOUBTFUL_WARNING = 0.9, 0.02
 """Probability below which an order is in doubt, and the part of the points that may be."""
+
+UNDECIDED_WARNING = 0.2
+"""Part of the placed pixels; edges and reflections leave a few percent open everywhere."""
+
+BIAS_WARNING_PX = 1.0
 
 AMBIGUOUS_WARNING, AMBIGUOUS_REFUSED = 0.05, 0.4
 """Part of the decoded pixels that the code leaves several points."""
@@ -154,6 +159,52 @@ def check_probability(matches: Correspondences, /) -> list[Finding]:
         "--min-probability out, or record a code"
     )
     return [Finding("warning", "doubtful_part", doubtful, text)]
+
+
+def check_evidence(matches: Correspondences, rival_shift: int, /) -> list[Finding]:
+    """Judge how many fringe orders the evidence of all pixels leaves open (method M6).
+
+    Parameters
+    ----------
+    matches : Correspondences
+    rival_shift : int; periods by which another solution differs that fits as well; 0 for none
+    """
+    ambiguous = (matches.rejection & np.uint16(Rejection.AMBIGUOUS)) != 0
+    candidates = int((ambiguous | (matches.rejection == 0)).sum())
+    share = float(ambiguous.sum() / candidates) if candidates else 0.0
+    text = f"{share:.1%} of the pixels fit several fringe orders about equally well"
+    if share <= UNDECIDED_WARNING:
+        return [Finding("ok", "undecided_part", share, text)]
+    apart = f", {rival_shift} period(s) apart" if rival_shift else ""
+    bit = 0 if rival_shift % 2 else 1
+    text += (
+        f"{apart}; they are rejected as AMBIGUOUS. What would tell: the rig's calibration bias, "
+        "learnt once from a well-structured scan (fringe3d calibrate bias); image "
+        f"{bit} (0 is the finest) of a cyclic Gray code; a narrower depth range (--depth MIN:MAX); "
+        "or a projector at another angle (fringe3d design --optimise)"
+    )
+    return [Finding("warning", "undecided_part", share, text)]
+
+
+def check_bias(used: CalibrationBias | None, stored: CalibrationBias | None, /) -> list[Finding]:
+    """Tell by how much points in C2 miss the calibration, and where that is known from."""
+    if used is None:
+        return []
+    rms = used.rms_px
+    of = "stored with the rig" if used is stored else "learnt from these images"
+    text = f"calibration bias ({of}): points in the second camera miss by {rms:.2f} px (rms)"
+    findings = [Finding("ok", "calibration_bias_px", rms, text)]
+    if rms > BIAS_WARNING_PX:
+        text += f". Good rigs stay below {BIAS_WARNING_PX} px: calibrate again"
+        findings = [Finding("warning", "calibration_bias_px", rms, text)]
+    if stored is not None and used is not stored:
+        text = (
+            f"the bias that is stored with the rig belongs to fringes at "
+            f"{np.degrees(stored.angle):.1f} degrees; these lie at {np.degrees(used.angle):.1f}: "
+            "it was left out. Learn one for them (fringe3d calibrate bias)"
+        )
+        findings.append(Finding("warning", "bias_left_out", 1.0, text))
+    return findings
 
 
 def check_ambiguity(matches: Correspondences, phases: PhaseMap, /) -> list[Finding]:

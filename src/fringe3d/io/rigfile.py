@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
+import hashlib
+import math
+from collections.abc import Sequence
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -12,7 +15,8 @@ from pydantic import Field, field_validator
 
 from fringe3d.errors import RigError
 from fringe3d.io.toml import StrictModel, read_toml
-from fringe3d.model import Device, MeasuringVolume, Rig, RigidTransform
+from fringe3d.model import CalibrationBias, Device, MeasuringVolume, Rig, RigidTransform
+from fringe3d.model.bias import N_TERMS
 from fringe3d.model.volume import BoxShape, CylinderShape, Shape, SlabShape
 
 Vector2 = tuple[float, float]
@@ -100,6 +104,50 @@ VolumeTable = Annotated[
 ]
 
 
+Terms = Annotated[list[float], Field(min_length=N_TERMS, max_length=N_TERMS)]
+
+
+class BiasTable(StrictModel):
+    """``[bias]``: what the calibration of these devices misses; see `CalibrationBias`."""
+
+    devices: str
+    angle_deg: float
+    coefficients_px: tuple[Terms, Terms]
+    middle: Vector3
+    scale: Vector3
+    scatter_px: float = Field(ge=0)
+    sigma_px: float = Field(ge=0)
+    source: str = ""
+
+    def bias(self, devices: Sequence[Device]) -> CalibrationBias:
+        """Return the bias, if it belongs to the devices."""
+        if self.devices != fingerprint(devices):
+            raise ValueError(
+                "bias: expected one that was learnt with the devices of this file "
+                f"({fingerprint(devices)}), found one of other devices ({self.devices}). Take the "
+                "[bias] table out, or learn it again (fringe3d calibrate bias)"
+            )
+        return CalibrationBias(
+            coefficients_px=np.array(self.coefficients_px),
+            middle=np.array(self.middle),
+            scale=np.array(self.scale),
+            scatter_px=self.scatter_px,
+            sigma_px=self.sigma_px,
+            angle=math.radians(self.angle_deg),
+            source=self.source,
+        )
+
+
+def fingerprint(devices: Sequence[Device], /) -> str:
+    """Return a short text that differs where calibrated devices differ."""
+    numbers = [
+        np.concatenate([d.focal_px, d.center_px, d.distortion, d.device_from_world.translation,
+                        d.device_from_world.rotation.ravel(), [d.n_rows, d.n_cols]])
+        for d in devices
+    ]  # fmt: skip
+    return hashlib.sha256(np.concatenate(numbers).astype("<f8").tobytes()).hexdigest()[:16]
+
+
 class RigTable(StrictModel):
     """The whole file."""
 
@@ -107,6 +155,7 @@ class RigTable(StrictModel):
     provenance: str = ""
     devices: list[DeviceTable]
     volume: VolumeTable | None = None
+    bias: BiasTable | None = None
 
 
 def read_rig(path: Path, /) -> Rig:
@@ -129,6 +178,8 @@ def read_rig(path: Path, /) -> Rig:
             volume=_volume(table.volume, devices),
             provenance=table.provenance,
         )
+        if table.bias is not None:
+            rig = replace(rig, bias=table.bias.bias(rig.devices))
         _require_visible(rig)
     except ValueError as problem:
         raise RigError(f"{path}: {problem}. Correct the file") from None
@@ -215,7 +266,20 @@ def rig_text(rig: Rig, /) -> str:
     document["devices"] = devices
     if rig.volume is not None:
         document["volume"] = _volume_table(rig.volume, rig)
+    if rig.bias is not None:
+        document["bias"] = _bias_table(rig.bias, rig)
     return tomlkit.dumps(document)
+
+
+def _bias_table(bias: CalibrationBias, rig: Rig) -> tomlkit.items.Table:
+    table = tomlkit.table()
+    table["devices"] = fingerprint(rig.devices)
+    table["angle_deg"] = math.degrees(bias.angle)
+    table["coefficients_px"] = bias.coefficients_px.tolist()
+    table["middle"], table["scale"] = bias.middle.tolist(), bias.scale.tolist()
+    table["scatter_px"], table["sigma_px"] = bias.scatter_px, bias.sigma_px
+    table["source"] = bias.source
+    return table
 
 
 def _volume_table(volume: MeasuringVolume, rig: Rig) -> tomlkit.items.Table:

@@ -1,5 +1,6 @@
 """The nouns: frozen data, checked once when they are made."""
 
+from fringe3d.model.bias import CalibrationBias
 from fringe3d.model.cloud import PointCloud, PointMap
 from fringe3d.model.correspondences import Correspondences
 from fringe3d.model.device import Device
@@ -14,6 +15,7 @@ from fringe3d.model.volume import MeasuringVolume
 
 __all__ = [
     "NO_ORDER",
+    "CalibrationBias",
     "Correspondences",
     "Device",
     "Fringe",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from fringe3d.model.bias import CalibrationBias
 from fringe3d.model.device import Device
 from fringe3d.model.volume import MeasuringVolume
 
@@ -18,12 +19,15 @@ class Rig:
     projector : Device or None (a stereo rig whose projector nobody calibrated)
     volume : MeasuringVolume or None (unbounded)
     provenance : str; where the calibration comes from
+    bias : CalibrationBias or None; what is known of the calibration's error, of exactly these
+        devices
     """
 
     cameras: tuple[Device, ...]
     projector: Device | None = None
     volume: MeasuringVolume | None = None
     provenance: str = ""
+    bias: CalibrationBias | None = None
 
     def __post_init__(self) -> None:
         if not self.cameras:

@@ -1,0 +1,234 @@
+"""Orders and bias together: each tells the other.
+
+A wrong bias goes with wrong orders that fit nearly as well: an iteration finds the solution that is
+nearest to its start. So it starts at several places, and what comes out is compared.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fringe3d.correspond._aggregate import STEP_PENALTY
+from fringe3d.correspond.bias import LEAST_PART, LEAST_PIXELS, PATCH_PX, joined, learn_bias
+from fringe3d.correspond.visibility import CONTINUOUS, absolute_turns, surfaces
+from fringe3d.correspond.weighing import (
+    CLEAR,
+    EXPECTED_CALIBRATION_PX,
+    LARGEST_COST,
+    Choice,
+    Task,
+)
+from fringe3d.geometry import project, rays
+from fringe3d.model import NO_ORDER, CalibrationBias
+
+STARTS_PX = tuple(0.2 * step for step in range(-4, 5))
+"""Along the epipolar lines; a nearly symmetric rig has another solution every quarter pixel."""
+
+START_SCATTER_PX, JUDGED_SCATTER_PX = 0.15, 0.08
+"""Calibration error that a start leaves to be learnt, and the one by which solutions are judged."""
+
+N_REFINED, ROUNDS = 3, 2
+"""Solutions that are refined, and how often."""
+
+N_SURFACES, LEAST_SURFACE = 2, 0.03
+"""Surfaces that may be right where others are not: the largest, of so many of the pixels. What one
+of them tells of the bias is then carried to all."""
+
+LEAST_WEIGHT = 1e-4
+SAME_PART = 0.995
+
+MOST_PHASE_STEP = 1.5
+"""rad; between the pixels of the coarse grid, along which the phase is continued."""
+
+COARSE_STEPS = (4, 3, 2)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Solution:
+    """A bias, the orders (n,) that go with it in each task, and what speaks against both (half
+    squared deviations, the size of the bias included)."""
+
+    bias: CalibrationBias
+    orders: tuple[NDArray[np.int32], ...]
+    energy: float
+
+    def resembles(self, other: Solution) -> bool:
+        """Tell whether nearly all orders are the same."""
+        same = [a == b for a, b in zip(self.orders, other.orders, strict=True)]
+        return float(np.concatenate(same).mean()) > SAME_PART
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rivals:
+    """Solutions that the images leave possible, the best first, and their weights (sum 1)."""
+
+    tasks: tuple[Task, ...]
+    solutions: tuple[Solution, ...]
+    weights: NDArray[np.float64]
+
+    @property
+    def best(self) -> CalibrationBias:
+        """Return the bias of the best solution."""
+        return self.solutions[0].bias
+
+    def shift(self) -> int:
+        """Return by how many orders the second solution differs from the best where it does."""
+        if len(self.solutions) < 2:
+            return 0
+        best, second = (np.concatenate(s.orders) for s in self.solutions[:2])
+        apart = np.abs(best - second)[(best != second) & (best != NO_ORDER) & (second != NO_ORDER)]
+        return int(np.median(apart)) if len(apart) else 0
+
+    def agreement(self, shape: tuple[int, int], /, *, number: int = 0) -> NDArray[np.float64]:
+        """Return the weight of the solutions whose order is that of the best one, (row, col)."""
+        task, best = self.tasks[number], self.solutions[0].orders[number]
+        coarse = np.ones(task.valid.shape)
+        coarse[task.valid] = sum(
+            weight * (solution.orders[number] == best)
+            for weight, solution in zip(self.weights, self.solutions, strict=True)
+        )
+        rows, cols = (np.arange(n) // s.step for n, s in zip(shape, task.grid, strict=True))
+        return np.asarray(coarse[np.ix_(rows, cols)])
+
+
+def solve(task: Task, bias: CalibrationBias | None) -> tuple[Choice, CalibrationBias]:
+    """Choose with a given bias; else choose, learn the bias from what is clear, and choose again.
+
+    One start: for codes and segments that leave little choice.
+    """
+    if bias is not None:
+        return task.decide(bias), bias
+    start = task.frame.constant((0.0, 0.0), scatter_px=EXPECTED_CALIBRATION_PX)
+    chosen = task.decide(start)
+    learnt = _learnt([task], [chosen], None)
+    if learnt is None:
+        return chosen, start
+    return task.decide(learnt), learnt
+
+
+def rivals(tasks: Sequence[Task], /) -> Rivals | None:
+    """Find the biases that go with the images, and how probable each is.
+
+    Parameters
+    ----------
+    tasks : Task of each measurement with the same rig, on a coarse grid; empty ones are left out
+
+    Returns
+    -------
+    Rivals or None where too little is clear to learn anything
+
+    Notes
+    -----
+    The weight is ``exp(-E)``, ``E = n_patches * mean(min(r^2 / 2 sigma^2, 1.2) + 5 jumps) + |c /
+    prior|^2 / 2``: neighbours within a patch share their errors and count once; a jump of the
+    absolute phase between neighbours is a depth edge, of which all solutions see the true ones.
+    """
+    tasks = [task for task in tasks if len(task.pixels)]
+    if not tasks:
+        return None
+    way, frame = _epipolar_direction(tasks[0]), tasks[0].frame
+    starts = [frame.constant(tuple(s * way), scatter_px=START_SCATTER_PX) for s in STARTS_PX]
+    begun = [s for start in starts if (s := _improved(tasks, start)) is not None]
+    found: list[Solution] = []
+    for first in sorted(begun, key=lambda s: s.energy)[:N_REFINED]:
+        for one in (first, *_from_surfaces(tasks, first)):
+            refined = one
+            for _ in range(ROUNDS):
+                refined = _improved(tasks, refined.bias) or refined
+            if not any(refined.resembles(other) for other in found):
+                found.append(refined)
+    if not found:
+        return None
+    found.sort(key=lambda s: s.energy)
+    weights = np.exp([found[0].energy - s.energy for s in found])
+    n = int((weights > LEAST_WEIGHT).sum())
+    return Rivals(tuple(tasks), tuple(found[:n]), weights[:n] / weights[:n].sum())
+
+
+def coarse_stride(phase: NDArray[np.float32], /) -> tuple[int, int]:
+    """Return the steps (rows, columns) over which a phase map can be continued without doubt."""
+    return _step_along(phase), _step_along(phase.T)
+
+
+def _step_along(phase: NDArray[np.float32]) -> int:
+    rise = np.diff(phase, axis=0)
+    rise = np.abs(rise - 2 * np.pi * np.rint(rise / (2 * np.pi)))
+    typical = float(np.nanpercentile(rise, 75)) if np.isfinite(rise).any() else np.pi
+    return next((s for s in COARSE_STEPS if s * typical < MOST_PHASE_STEP), 1)
+
+
+def _improved(tasks: Sequence[Task], bias: CalibrationBias) -> Solution | None:
+    """Choose, learn and choose again; None where nothing can be learnt."""
+    chosen = [task.decide(bias) for task in tasks]
+    learnt = _learnt(tasks, chosen, bias)
+    return None if learnt is None else _judged(tasks, learnt)
+
+
+def _judged(tasks: Sequence[Task], bias: CalibrationBias) -> Solution:
+    size = bias.coefficients_px / tasks[0].frame.prior_px()
+    energy, orders = 0.5 * float((size**2).sum()), []
+    for task in tasks:
+        chosen = task.decide(bias, scatter_px=JUDGED_SCATTER_PX)
+        seen = np.isfinite(chosen.cost)  # what lies beyond the border of C2 tells nothing
+        cost = np.fmin(chosen.cost[seen] / 2, LARGEST_COST) * (len(seen) / max(1, seen.sum()))
+        turns = absolute_turns(task, chosen.order, chosen.order != NO_ORDER)
+        jumps = sum(int((np.abs(np.diff(turns, axis=axis)) > CONTINUOUS).sum()) for axis in (0, 1))
+        energy += (float(cost.sum()) + STEP_PENALTY * jumps) / _n_alike(task)
+        orders.append(chosen.order)
+    return Solution(bias, tuple(orders), energy)
+
+
+def _from_surfaces(tasks: Sequence[Task], solution: Solution) -> Iterator[Solution]:
+    """Yield the solutions that one surface alone leads to."""
+    chosen = [task.decide(solution.bias) for task in tasks]
+    clear = [_clear(task, c) for task, c in zip(tasks, chosen, strict=True)]
+    candidates = []
+    for number, (task, c, where) in enumerate(zip(tasks, chosen, clear, strict=True)):
+        label = surfaces(task, c.order, where)
+        sizes = np.bincount(label) if len(label) else np.zeros(0, int)
+        candidates += [(int(sizes[k]), number, np.flatnonzero(where)[label == k])
+                       for k in np.argsort(sizes)[::-1][:N_SURFACES]]  # fmt: skip
+    n = sum(len(where) for where in clear)
+    for size, number, index in sorted(candidates, key=lambda c: -c[0])[:N_SURFACES]:
+        if size < LEAST_SURFACE * n:
+            return
+        task = tasks[number]
+        learnt = learn_bias(chosen[number].clear(task.pixels, index), tasks[0].frame,
+                            start=solution.bias, n_alike=_n_alike(task))  # fmt: skip
+        yield _judged(tasks, learnt)
+
+
+def _clear(task: Task, chosen: Choice) -> NDArray[np.bool_]:
+    return np.asarray((chosen.probability > CLEAR) & (chosen.cost < task.limit))
+
+
+def _learnt(
+    tasks: Sequence[Task], chosen: Sequence[Choice], start: CalibrationBias | None
+) -> CalibrationBias | None:
+    clear = [_clear(task, c) for task, c in zip(tasks, chosen, strict=True)]
+    n_clear = sum(int(where.sum()) for where in clear)
+    least = LEAST_PIXELS / PATCH_PX**2 * _n_alike(tasks[0])
+    if n_clear < max(least, LEAST_PART * sum((c.order != NO_ORDER).sum() for c in chosen)):
+        return None
+    evidence = joined(
+        [c.clear(t.pixels, where) for t, c, where in zip(tasks, chosen, clear, strict=True)]
+    )
+    return learn_bias(evidence, tasks[0].frame, start=start, n_alike=_n_alike(tasks[0]))
+
+
+def _n_alike(task: Task) -> float:
+    return max(1.0, PATCH_PX**2 / (task.grid[0].step * task.grid[1].step))
+
+
+def _epipolar_direction(task: Task) -> NDArray[np.float64]:
+    """Return the mean direction, (2,), in which C2 sees points move that leave C1."""
+    middle = float(task.frame.middle[2])
+    origin, directions = rays(task.views.camera1, task.pixels)
+    camera2 = task.views.camera2
+    moved = project(camera2, origin + 1.001 * middle * directions)
+    way = np.nanmean(moved - project(camera2, origin + middle * directions), axis=0)
+    return np.asarray(way / max(float(np.linalg.norm(way)), 1e-12))

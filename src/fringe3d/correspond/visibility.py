@@ -1,0 +1,118 @@
+"""One ray of light meets one surface: which of two that claim it is the true one."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from fringe3d.correspond.weighing import Choice, Task
+from fringe3d.geometry import project, rays, sheet_crossing
+from fringe3d.model import NO_ORDER, Device
+
+Bools = NDArray[np.bool_]
+
+CONTINUOUS = 0.5
+"""Turns of absolute phase between neighbours of one surface."""
+
+APART = 0.5
+"""Of the way that a ray of C1 goes in one period; what lies closer is one surface."""
+
+CONTESTED = 0.5
+"""Part of a surface whose light a larger one takes: borders of true surfaces stay below."""
+
+SAMPLE = 2000
+
+
+def takes_foreign_light(task: Task, chosen: Choice, trusted: Bools, projector: Device, /) -> Bools:
+    """Tell which pixels belong to a surface that cannot be, as a larger one has its light.
+
+    A surface of wrong order that both cameras agree on, for each sees there what is hidden from the
+    other, lies in the light of another surface, or behind it. Where two surfaces claim most of the
+    same light the smaller one is wrong.
+
+    Parameters
+    ----------
+    task : Task
+    chosen : Choice; orders (n,)
+    trusted : (n,) bool; pixels whose order is well founded; the others claim nothing
+    projector : Device
+
+    Returns
+    -------
+    (n,) bool
+    """
+    claims = trusted & (chosen.order != NO_ORDER)
+    wrong = np.zeros(len(claims), bool)
+    if not claims.any():
+        return wrong
+    surface = surfaces(task, chosen.order, claims)
+    sizes = np.bincount(surface)
+    origin, directions = rays(task.views.camera1, task.pixels[claims])
+    points = origin + chosen.depth_mm[claims, None] * directions
+    ray, light = np.linalg.norm(points - projector.center_world, axis=1), project(projector, points)
+    cell, n_cells = _cells(light, task, claims)
+    owner = np.full(n_cells, -1)
+    by_size = np.argsort(sizes[surface], kind="stable")
+    owner[cell[by_size]] = by_size  # the last one, of the largest surface, stays
+    apart = np.abs(ray - ray[owner[cell]]) > APART * _way_in_a_period(task, chosen, projector)
+    contested = apart & (surface != surface[owner[cell]])
+    share = np.bincount(surface, contested) / np.maximum(sizes, 1)
+    wrong[claims] = share[surface] > CONTESTED
+    return wrong
+
+
+def absolute_turns(task: Task, order: NDArray[np.int32], where: Bools, /) -> NDArray[np.float64]:
+    """Return the absolute phase on the task's grid, turns; NaN but where (n,) bool."""
+    turns = np.full(task.valid.shape, np.nan)
+    turns[task.valid] = np.where(where, order + task.first[0] / (2 * np.pi), np.nan)
+    return turns
+
+
+def surfaces(task: Task, order: NDArray[np.int32], claims: Bools, /) -> NDArray[np.intp]:
+    """Return the number of the surface of each claiming pixel: neighbours of continuous phase."""
+    turns = absolute_turns(task, order, claims)
+    number = np.full(task.valid.shape, -1)
+    number[np.isfinite(turns)] = np.arange(int(claims.sum()))
+    pairs = []
+    for here, there in (
+        (np.s_[:, :-1], np.s_[:, 1:]),
+        (np.s_[:-1], np.s_[1:]),
+    ):
+        joined = np.abs(turns[here] - turns[there]) < CONTINUOUS
+        pairs.append(np.stack([number[here][joined], number[there][joined]]))
+    start, end = np.concatenate(pairs, axis=1)
+    n = int(claims.sum())
+    graph = coo_array((np.ones(len(start), bool), (start, end)), shape=(n, n))
+    return np.asarray(connected_components(graph, directed=False)[1], np.intp)
+
+
+def _cells(light: NDArray[np.float64], task: Task, claims: Bools) -> tuple[NDArray[np.intp], int]:
+    """Return the cell of the projector image of each point, and how many there are.
+
+    Cells are twice as wide as pixels of C1 lie apart there: surfaces leave hardly any empty.
+    """
+    sheet = np.full((*task.valid.shape, 2), np.nan)
+    place = np.full((len(claims), 2), np.nan)
+    place[claims] = light
+    sheet[task.valid] = place
+    gaps = np.linalg.norm(np.diff(sheet, axis=0), axis=-1)
+    gap = float(np.nanmedian(gaps)) if np.isfinite(gaps).any() else 1.0
+    found = np.nan_to_num(np.floor(light / max(2 * gap, 1.0)), nan=0.0).astype(np.int64)
+    found -= found.min(axis=0)
+    n_rows, n_cols = found[:, 1].max() + 1, found[:, 0].max() + 1
+    return found[:, 1] * n_cols + found[:, 0], int(n_rows * n_cols)
+
+
+def _way_in_a_period(task: Task, chosen: Choice, projector: Device) -> float:
+    """Return how far a ray of C1 goes from one light sheet of its phase to the next, mm."""
+    known = np.flatnonzero(chosen.order != NO_ORDER)
+    index = known[:: max(1, len(known) // SAMPLE)]
+    origin, directions = rays(task.views.camera1, task.pixels[index])
+    phases = task.views.phases1
+    turns = chosen.order[index] + task.first[0][index] / (2 * np.pi)
+    next_one = sheet_crossing(
+        projector, origin, directions, (turns + 1) * phases.period_px, phases.angle
+    )
+    return float(np.nanmedian(np.abs(next_one - chosen.depth_mm[index])))

@@ -1,0 +1,118 @@
+"""The calibration's bias from recordings: once for a rig."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from fringe3d.correspond import FIT_SIGMA, Task, coarse_stride, rivals
+from fringe3d.decode import decode
+from fringe3d.errors import MethodError
+from fringe3d.matching import best_direction_first, two_views
+from fringe3d.model import CalibrationBias, Device, MeasuringVolume, Rig, Scan
+from fringe3d.options import MeasureOptions, keep_images, volume_of
+
+LEAST_CERTAINTY = 0.99
+"""Weight of the solution that may be stored; a wrong one shifts every later surface."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LearntBias:
+    """A bias, and how well the recordings determine it.
+
+    Parameters
+    ----------
+    bias : CalibrationBias
+    certainty : float, 0 to 1; weight of this solution among all that the images leave possible
+    n_solutions : int; solutions that are not ruled out
+    decided_part : float; of the decoded pixels, those whose order this solution shares with all
+    """
+
+    bias: CalibrationBias
+    certainty: float
+    n_solutions: int
+    decided_part: float
+
+
+def learn_rig_bias(
+    scans: Sequence[Scan],
+    rig: Rig,
+    options: MeasureOptions | None = None,
+    /,
+    *,
+    step: Callable[[str, int, int], object] = lambda *_: None,
+) -> LearntBias:
+    """Learn what the calibration of a rig misses.
+
+    Parameters
+    ----------
+    scans : Scan; of anything with structure. Any code in them helps, but four fringe images do
+    rig : Rig with two cameras, projector and volume
+    options : MeasureOptions or None; which of the images to use, and the depth range
+    step : called with the work, what is done and what there is to do
+
+    Returns
+    -------
+    LearntBias
+
+    Raises
+    ------
+    MethodError
+        If the rig or the recordings do not hold what is needed, or tell nothing.
+
+    Notes
+    -----
+    See `fringe3d.correspond.rivals`. All recordings share one bias.
+    """
+    options = options or MeasureOptions()
+    volume = volume_of(rig, rig.cameras[0].name, options)
+    if len(rig.cameras) < 2 or rig.projector is None or volume is None:
+        raise MethodError(
+            "calibrate bias: expected a rig with two cameras, a projector and a measuring volume, "
+            f"found {len(rig.cameras)} camera(s), {'a' if rig.projector else 'no'} projector and "
+            f"{'a' if volume else 'no'} volume. Add what is missing to the rig file (a projector: "
+            "fringe3d calibrate projector; a volume: --depth MIN:MAX)"
+        )
+    work = "preparing recordings"
+    tasks = []
+    for number, scan in enumerate(scans):
+        step(work, number, len(scans))
+        tasks.append(_task(scan, rig, rig.projector, volume, options))
+    step(work, len(scans), len(scans))
+    found = rivals(tasks)
+    if found is None:
+        raise MethodError(
+            "calibrate bias: expected a surface whose fringe orders are mostly clear, found too "
+            "few such pixels. Take a well-structured scan, or one with a Gray code"
+        )
+    agree = [
+        found.agreement(task.views.phases1.phase.shape, number=number)[task.grid][task.valid]
+        for number, task in enumerate(found.tasks)
+    ]
+    source = ", ".join(scan.title or f"scan {number + 1}" for number, scan in enumerate(scans))
+    return LearntBias(
+        bias=replace(found.best, source=source),
+        certainty=float(found.weights[0]),
+        n_solutions=len(found.solutions),
+        decided_part=float(np.mean(np.concatenate(agree) > LEAST_CERTAINTY)),
+    )
+
+
+def _task(
+    scan: Scan, rig: Rig, projector: Device, volume: MeasuringVolume, options: MeasureOptions
+) -> Task:
+    stacks = [keep_images(stack, options) for stack in scan.stacks]
+    if len(stacks) < 2:
+        raise MethodError(
+            f"calibrate bias: scan '{scan.title}': expected images of two cameras, found "
+            f"{len(stacks)}. Record with both cameras"
+        )
+    cameras = {camera.name: camera for camera in rig.cameras}
+    camera1, camera2 = (cameras[stack.device_name] for stack in stacks[:2])
+    phases = tuple(decode(stack, projector.shape) for stack in stacks)
+    phases = best_direction_first(phases, camera1, camera2)
+    views = replace(two_views(phases, camera1, camera2), second1=None, second2=None)
+    stride = coarse_stride(views.phases1.phase)
+    return Task(views, projector, volume, FIT_SIGMA**2, together=True, stride=stride)
