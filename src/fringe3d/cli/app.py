@@ -9,11 +9,11 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
-from fringe3d.cli import planning, simulated
+from fringe3d.cli import biasing, calibrating, planning, simulated
 from fringe3d.cli.console import Reporter, say
 from fringe3d.cli.parameters import Json, Overwrite, app, at_least
 
-__all__ = ["app", "planning", "simulated"]
+__all__ = ["app", "biasing", "calibrating", "planning", "simulated"]
 
 
 @app.command
@@ -24,7 +24,7 @@ def measure(
     out: Path,
     images: Path | None = None,
     rig: Path | None = None,
-    method: Literal["auto", "m0", "m1", "m2", "m3", "m4", "m5", "projector"] = "auto",
+    method: Literal["auto", "m0", "m1", "m2", "m3", "m4", "m5", "m6", "projector"] = "auto",
     direction: Literal["auto", "x", "y"] = "auto",
     shifts: int | None = None,
     gray_bits: Annotated[int | None, Parameter(validator=at_least(0))] = None,
@@ -55,8 +55,9 @@ def measure(
     method
         auto takes the best that images and rig allow, and says why. Two cameras: m0 full Gray
         code in two directions, m1 full code, m2 reduced code, m3 fringes alone, m4 fringes of two
-        directions, m5 fringes alone and segments below one period; each leaves out the images
-        that it does without. projector: one camera and the calibrated projector.
+        directions, m5 fringes alone and segments below one period, m6 whatever there is, by the
+        evidence of all pixels; each leaves out the images that it does without. projector: one
+        camera and the calibrated projector.
     direction
         Use only the fringes and code of this direction (x: vertical stripes).
     shifts

@@ -1,0 +1,153 @@
+"""``fringe3d calibrate bias``: what the calibration of a rig misses, learnt once and stored."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated, Any
+
+from cyclopts import Parameter
+
+from fringe3d.cli.calibrating import calibrate
+from fringe3d.cli.console import Reporter, say
+from fringe3d.cli.parameters import Json, Overwrite, at_least
+from fringe3d.errors import MethodError, RigError
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BiasOptions:
+    """What the user said on the command line; see ``fringe3d calibrate bias --help``."""
+
+    scans: tuple[Path, ...]
+    out: Path
+    rig: Path | None = None
+    images: tuple[Path, ...] = ()
+    depth_mm: tuple[float, float] | None = None
+    shifts: int | None = None
+    gray_bits: int | None = None
+    overwrite: bool = False
+
+
+@calibrate.command
+def bias(
+    *,
+    from_: Annotated[list[Path], Parameter(name="--from", negative=())],
+    out: Path,
+    rig: Path | None = None,
+    images: Annotated[list[Path] | None, Parameter(negative=())] = None,
+    depth: str | None = None,
+    shifts: int | None = None,
+    gray_bits: Annotated[int | None, Parameter(validator=at_least(0))] = None,
+    overwrite: Overwrite = False,
+    as_json: Json = False,
+) -> None:
+    """Learn what the calibration of a rig misses, and store it with the rig.
+
+    Leaves the rig with its bias in OUT, and NAME-bias.png beside it: how far points in the second
+    camera lie from where the calibration expects them. It is the health figure of a rig. With it
+    four images do where the cameras see the projector nearly symmetrically.
+    Example: fringe3d calibrate bias --from scan-a --from scan-b --out rig.toml
+
+    Parameters
+    ----------
+    from_
+        Scan folder or scan file, of something with steps and slopes; repeat it for several scans
+        of the same rig. Four fringe images do; a Gray code, where there is one, makes it sure.
+    out
+        The rig file to write.
+    rig
+        Rig file instead of the scan's own.
+    images
+        Folder of the images, where they do not lie beside the scan file; repeat it for each scan.
+    depth
+        MIN:MAX, mm along the principal ray of C1; needed where the rig has no volume.
+    shifts
+        Use only that many of the phase steps.
+    gray_bits
+        Use only the finest images of each Gray code; 0 for none.
+    """
+    from fringe3d.io.importing import parse_depth
+
+    options = BiasOptions(
+        scans=tuple(from_),
+        out=out,
+        rig=rig,
+        images=tuple(images or ()),
+        depth_mm=parse_depth(depth) if depth else None,
+        shifts=shifts,
+        gray_bits=gray_bits,
+        overwrite=overwrite,
+    )
+    with Reporter(quiet=as_json).running() as reporter:
+        text, record = calibrate_bias(options, reporter)
+    say(f"{text} -> {out}", record, as_json=as_json)
+
+
+def calibrate_bias(options: BiasOptions, reporter: Reporter, /) -> tuple[str, dict[str, Any]]:
+    """Learn the bias from the scans, and write the rig.
+
+    Returns
+    -------
+    str, dict
+        What to print, and the same as plain data.
+
+    Raises
+    ------
+    Fringe3DError
+        If scans, rig or options do not suffice, several solutions remain, or nothing can be
+        written.
+    """
+    from fringe3d.io.atomic import require_writable, write_text
+    from fringe3d.io.recording import read_scan
+    from fringe3d.io.rigfile import rig_text
+    from fringe3d.options import MeasureOptions
+    from fringe3d.report.bias import write_bias_picture
+    from fringe3d.rig_bias import LEAST_CERTAINTY, learn_rig_bias
+
+    picture = options.out.with_name(f"{options.out.stem}-bias.png")
+    for target in (options.out, picture):
+        require_writable(target, overwrite=options.overwrite, inputs=options.scans)
+    folders = options.images or (None,) * len(options.scans)
+    if len(folders) != len(options.scans):
+        raise MethodError(
+            f"--images: expected one for each of the {len(options.scans)} scans, found "
+            f"{len(folders)}. Repeat it in the order of --from"
+        )
+    scans = [
+        read_scan(path, images=folder, rig=options.rig, progress=reporter.step)
+        for path, folder in zip(options.scans, folders, strict=True)
+    ]
+    rig = scans[0].rig
+    if rig is None:
+        raise RigError(f"{options.scans[0]}: expected a rig, found none. Name one with --rig")
+    wanted = MeasureOptions(
+        n_shifts=options.shifts, gray_bits=options.gray_bits, depth_mm=options.depth_mm
+    )
+    reporter.stage("learning the bias")
+    learnt = learn_rig_bias(scans, rig, wanted, step=reporter.step)
+    if learnt.certainty < LEAST_CERTAINTY:
+        raise MethodError(
+            f"{', '.join(map(str, options.scans))}: expected one bias that goes with the images, "
+            f"found {learnt.n_solutions}; the best has a probability of {learnt.certainty:.0%}. "
+            "Take a scan with steps and slopes all over the image, several scans, or one with a "
+            "Gray code"
+        )
+    names = ", ".join(path.name for path in options.scans)
+    found = replace(learnt.bias, source=names)
+    write_text(options.out, rig_text(replace(rig, bias=found)), overwrite=options.overwrite)
+    write_bias_picture(picture, found, rig.cameras[0], title=f"Calibration bias from {names}")
+    record = {
+        "bias_px": found.rms_px,
+        "sigma_px": found.sigma_px,
+        "scatter_px": found.scatter_px,
+        "certainty": learnt.certainty,
+        "n_solutions": learnt.n_solutions,
+        "decided_part": learnt.decided_part,
+        "out": str(options.out),
+    }
+    text = (
+        f"calibration bias: points in the second camera miss by {found.rms_px:.2f} px (rms over "
+        f"image and depth), known to {found.sigma_px:.2f} px; {found.scatter_px:.2f} px are not "
+        f"smooth. {learnt.certainty:.1%} certain ({learnt.n_solutions} solution(s))"
+    )
+    return text, record
