@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,7 +19,7 @@ from fringe3d.model import (
     RigidTransform,
     Scan,
 )
-from fringe3d.patterns import intensity
+from fringe3d.patterns import intensity, sequence
 
 Points = NDArray[np.float64]
 
@@ -68,6 +69,9 @@ class Truth:
     on_sphere: NDArray[np.bool_]
 
 
+Recording = tuple[Scan, tuple[Truth, ...]]
+
+
 def demo_rig(*, camera_size: tuple[int, int] = (640, 512)) -> Rig:
     """Return a rig like that of the source paper: two cameras and a projector above a table.
 
@@ -90,7 +94,7 @@ def demo_rig(*, camera_size: tuple[int, int] = (640, 512)) -> Rig:
             focal_px=np.array([2300.0, 2302.0]) * scale,
             center_px=[(width - 1) / 2 + 3.0, (height - 1) / 2 - 5.0],
             distortion=distortion,
-            device_from_world=_above_table(27.0, azimuth_deg),
+            device_from_world=above_table(27.0, azimuth_deg),
         )
 
     projector = Device(
@@ -101,7 +105,7 @@ def demo_rig(*, camera_size: tuple[int, int] = (640, 512)) -> Rig:
         focal_px=[3215.0, 3218.0],
         center_px=[515.0, 371.0],
         distortion=[-0.12, 0.3, 0.0012, -0.0008, 0.0],
-        device_from_world=_above_table(22.0, 0.0),
+        device_from_world=above_table(22.0, 0.0),
     )
     return Rig(
         cameras=(
@@ -114,7 +118,9 @@ def demo_rig(*, camera_size: tuple[int, int] = (640, 512)) -> Rig:
     )
 
 
-def _above_table(tilt_deg: float, azimuth_deg: float, distance_mm: float = 335.0) -> RigidTransform:
+def above_table(
+    tilt_deg: float, azimuth_deg: float, distance_mm: float = 335.0, /
+) -> RigidTransform:
     """Return the pose of a device that looks at the origin, its rows along the world's x."""
     tilt, azimuth = np.radians([tilt_deg, azimuth_deg])
     position = distance_mm * np.array(
@@ -129,7 +135,7 @@ def _above_table(tilt_deg: float, azimuth_deg: float, distance_mm: float = 335.0
 
 def simulate(
     rig: Rig, plan: PatternPlan, scene: SphereScene, rng: np.random.Generator, /
-) -> tuple[Scan, tuple[Truth, ...]]:
+) -> Recording:
     """Render a recording of the scene and its truth.
 
     Parameters
@@ -154,10 +160,19 @@ def simulate(
     return Scan(stacks=stacks, rig=rig, title="a sphere before a plane (closed form)"), truths
 
 
+def record_scene(rig: Rig, scene: SphereScene, /, *, seed: int, **plan: Any) -> Recording:
+    """Return a recording and its truth: fringes of 16 px in 4 steps and their code, or changes."""
+    assert rig.projector is not None
+    options: dict[str, Any] = {"periods_px": (16.0,), "n_shifts": 4} | plan
+    return simulate(
+        rig, sequence(rig.projector.shape, **options), scene, np.random.default_rng(seed)
+    )
+
+
 def trace(camera: Device, projector: Device, scene: SphereScene, /) -> Truth:
     """Return what every pixel of a camera sees, from ray-sphere and ray-plane intersection."""
     origin, directions = rays(camera, pixel_grid(camera.shape))
-    to_sphere = _sphere_distance(origin, directions, scene)
+    to_sphere = sphere_distance(origin, directions, scene.center_mm, scene.radius_mm)
     to_plane = (scene.plane_z_mm - origin[2]) / directions[..., 2]
     on_sphere = to_sphere < to_plane
     points = origin + np.where(on_sphere, to_sphere, to_plane)[..., None] * directions
@@ -177,15 +192,20 @@ def sees(device: Device, points: Points, scene: SphereScene, /) -> NDArray[np.bo
     origin = device.center_world
     away = points - origin
     distance = np.linalg.norm(away, axis=-1)
-    hidden = _sphere_distance(origin, away / distance[..., None], scene) < distance - 1e-6
+    toward = away / distance[..., None]
+    hidden = sphere_distance(origin, toward, scene.center_mm, scene.radius_mm) < distance - 1e-6
     return np.asarray(~hidden)
 
 
-def _sphere_distance(origin: Points, directions: Points, scene: SphereScene) -> Points:
-    """Return the distance to the near side of the sphere along unit rays; inf for a miss."""
-    to_center = np.asarray(scene.center_mm) - origin
+def sphere_distance(
+    origin: Points, directions: Points, center_mm: ArrayLike, radius_mm: float, /
+) -> Points:
+    """Return the distance to the near side of a sphere along unit rays; inf for a miss."""
+    if radius_mm <= 0:
+        return np.full(directions.shape[:-1], np.inf)
+    to_center = np.asarray(center_mm) - origin
     along = directions @ to_center
-    chord2 = scene.radius_mm**2 - (to_center @ to_center - along**2)
+    chord2 = radius_mm**2 - (to_center @ to_center - along**2)
     return np.where(chord2 >= 0, along - np.sqrt(np.maximum(chord2, 0)), np.inf)
 
 

@@ -2,27 +2,26 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from closed_form import demo_rig
+from closed_form import above_table, demo_rig, sphere_distance
+from cv_lens import cv_project, cv_rays
 from fringe3d.model import (
     NO_ORDER,
     Device,
     PhaseMap,
     Rejection,
     Rig,
-    RigidTransform,
 )
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
-
-DISTANCE_MM = 335.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -48,27 +47,13 @@ def small_rig(*, projector_azimuth_deg: float = -12.0, projector_tilt_deg: float
         moved(camera, focal_px=[1600.0, 1604.0], distortion=[-2.0, 0.0, sign * 0.01, -0.01])
         for camera, sign in zip(rig.cameras, (1, -1), strict=True)
     )
-    pose = _above(projector_tilt_deg, projector_azimuth_deg)
+    pose = above_table(projector_tilt_deg, projector_azimuth_deg)
     return replace(rig, cameras=cameras, projector=moved(rig.projector, device_from_world=pose))
 
 
-def _above(tilt_deg: float, azimuth_deg: float) -> RigidTransform:
-    """Return the pose of a device that looks at the origin, its rows along the world's x."""
-    tilt, azimuth = np.radians([tilt_deg, azimuth_deg])
-    back = np.array([np.sin(tilt) * np.sin(azimuth), -np.sin(tilt) * np.cos(azimuth), np.cos(tilt)])
-    right = np.array([1.0, 0.0, 0.0]) + back[0] * -back
-    right /= np.linalg.norm(right)
-    rotation = np.stack([right, np.cross(-back, right), -back])
-    return RigidTransform(rotation=rotation, translation=[0.0, 0.0, DISTANCE_MM])
-
-
 def moved(device: Device, **changes: Any) -> Device:
-    """Return a device with some of its properties changed."""
-    names = (
-        "name", "role", "n_rows", "n_cols", "focal_px", "center_px", "distortion",
-        "device_from_world",
-    )  # fmt: skip
-    return Device(**{name: getattr(device, name) for name in names} | changes)
+    """Return a device with some of its properties changed; lists will do for arrays."""
+    return replace(device, **changes)
 
 
 def grid_of(camera: Device) -> Floats:
@@ -77,34 +62,11 @@ def grid_of(camera: Device) -> Floats:
     return np.stack([x, y], axis=-1).astype(np.float64)
 
 
-def cv_rays(camera: Device, pixels: ArrayLike) -> tuple[Floats, Floats]:
-    """Return the projection centre (3,) and unit directions (..., 3) of pixels; world frame."""
-    xy = np.asarray(pixels, np.float64)
-    stop = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 100, 1e-12)
-    normalised = cv2.undistortPoints(
-        xy.reshape(-1, 1, 2), camera.camera_matrix, camera.distortion, criteria=stop
-    ).reshape(*xy.shape[:-1], 2)
-    rotation, translation = camera.device_from_world.rotation, camera.device_from_world.translation
-    directions = np.concatenate([normalised, np.ones((*xy.shape[:-1], 1))], axis=-1) @ rotation
-    return -rotation.T @ translation, directions / np.linalg.norm(directions, axis=-1)[..., None]
-
-
-def cv_project(device: Device, points_mm: ArrayLike) -> Floats:
-    """Return the pixels (x, y) of points (..., 3) of the world frame."""
-    points = np.asarray(points_mm, np.float64)
-    rotation, translation = device.device_from_world.rotation, device.device_from_world.translation
-    pixels, _ = cv2.projectPoints(
-        np.ascontiguousarray(points.reshape(-1, 1, 3)), cv2.Rodrigues(rotation)[0],
-        translation.reshape(3, 1).copy(), device.camera_matrix, device.distortion,
-    )  # fmt: skip
-    return np.asarray(pixels, np.float64).reshape(*points.shape[:-1], 2)
-
-
 def seen_points(camera: Device, pixels: ArrayLike, surface: Surface) -> tuple[Floats, Floats, Mask]:
     """Return points (..., 3) and depths along the rays, mm, and which lie on the sphere."""
     origin, directions = cv_rays(camera, pixels)
     depth = (surface.plane_z_mm - origin[2]) / directions[..., 2]
-    to_sphere = _to_sphere(origin, directions, surface)
+    to_sphere = sphere_distance(origin, directions, surface.center_mm, surface.radius_mm)
     on_sphere = to_sphere < depth
     depth = np.where(on_sphere, to_sphere, depth)
     return origin + depth[..., None] * directions, depth, on_sphere
@@ -115,19 +77,33 @@ def is_seen(device: Device, points_mm: Floats, surface: Surface) -> Mask:
     origin = -device.device_from_world.rotation.T @ device.device_from_world.translation
     away = points_mm - origin
     distance = np.linalg.norm(away, axis=-1)
-    free = ~(_to_sphere(origin, away / distance[..., None], surface) < distance - 1e-6)
+    toward = away / distance[..., None]
+    free = ~(
+        sphere_distance(origin, toward, surface.center_mm, surface.radius_mm) < distance - 1e-6
+    )
     pixels = cv_project(device, points_mm)
     inside = (pixels >= -0.5) & (pixels <= np.array([device.n_cols, device.n_rows]) - 0.5)
     return np.asarray(free & inside.all(axis=-1))
 
 
-def _to_sphere(origin: Floats, directions: Floats, surface: Surface) -> Floats:
-    if surface.radius_mm <= 0:
-        return np.full(directions.shape[:-1], np.inf)
-    to_center = np.asarray(surface.center_mm) - origin
-    along = directions @ to_center
-    chord2 = surface.radius_mm**2 - (to_center @ to_center - along**2)
-    return np.where(chord2 >= 0, along - np.sqrt(np.maximum(chord2, 0)), np.inf)
+@cache
+def visible(rig: Rig, surface: Surface, margin_px: float = 3.0) -> Mask:
+    """Tell which pixels of C1 are lit and seen by C2, away from its border and the silhouettes."""
+    c1, c2 = rig.cameras
+    assert rig.projector is not None
+    points, _, _ = seen_points(c1, grid_of(c1), surface)
+    seen = is_seen(rig.projector, points, surface) & is_seen(c2, points, surface)
+    place = cv_project(c2, points)
+    good = ((place > margin_px) & (place < np.array([c2.n_cols, c2.n_rows]) - 1 - margin_px)).all(
+        axis=-1
+    )
+    if surface.radius_mm > 0:
+        for shift in itertools.product((-margin_px, 0, margin_px), repeat=2):
+            for camera, xy in ((c1, grid_of(c1)), (c2, place)):
+                around, _, on_sphere = seen_points(camera, xy + np.array(shift), surface)
+                good &= on_sphere == seen_points(c1, grid_of(c1), surface)[2]
+                good &= is_seen(rig.projector, around, surface)
+    return np.asarray(seen & good)
 
 
 def true_turns(

@@ -1,20 +1,29 @@
-"""Recordings that many tests start from; made once."""
+"""Recordings and settings that many tests start from."""
 
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
 from pathlib import Path
 
-import numpy as np
+import numba
 import pytest
 
-from closed_form import SphereScene, Truth, demo_rig, simulate
-from fringe3d.model import Rig, Scan
-from fringe3d.patterns import sequence
+from closed_form import Recording, SphereScene, demo_rig, record_scene
+from fringe3d.model import Rig
 
 SEED = 20261122
 
 os.environ["FRINGE3D_CACHE"] = "off"  # tests leave nothing in the user's folders
+
+
+@pytest.fixture(scope="module")
+def one_thread() -> Iterator[None]:
+    """Do without threads: for many small arrays they cost more than they help."""
+    before = numba.get_num_threads()
+    numba.set_num_threads(1)
+    yield
+    numba.set_num_threads(before)
 
 
 @pytest.fixture(scope="session")
@@ -24,11 +33,9 @@ def rig() -> Rig:
 
 
 @pytest.fixture(scope="session")
-def recording(rig: Rig) -> tuple[Scan, tuple[Truth, ...]]:
+def recording(rig: Rig) -> Recording:
     """Return a noisy recording of a sphere before a plane, with its truth: M1, 11 images."""
-    assert rig.projector is not None
-    plan = sequence(rig.projector.shape, periods_px=(16.0,), n_shifts=4)
-    return simulate(rig, plan, SphereScene(), np.random.default_rng(SEED))
+    return record_scene(rig, SphereScene(), seed=SEED)
 
 
 @pytest.fixture(scope="session")

@@ -23,6 +23,8 @@ ALLOWED: dict[str, set[str]] = {
     "triangulate": NOUNS | {"geometry"},
     # Health judges the stages before it, so it may know their results and the geometry.
     "health": NOUNS | {"geometry", "decode", "patterns"},
+    # It judges its own fits, in the words of the other checks.
+    "calibrate": NOUNS | {"geometry", "health", "patterns"},
     "simulate": NOUNS | {"geometry", "patterns"},
     "io": NOUNS | {"geometry", "patterns", "__init__"},  # a sketch says where devices look
     "design": NOUNS | {"geometry", "patterns"},
@@ -35,8 +37,11 @@ ALLOWED: dict[str, set[str]] = {
     "matching": NOUNS | {"correspond", "decode", "triangulate", "health", "options"},
     "pipeline": NOUNS
     | {"decode", "correspond", "matching", "methods", "options", "triangulate", "health"},
+    # What recordings tell of a rig: it decodes and solves as a measurement does.
+    "rig_bias": NOUNS | {"correspond", "decode", "matching", "options"},
     "report": NOUNS
     | {
+        "calibrate",
         "design",
         "evaluate",
         "geometry",
@@ -50,12 +55,14 @@ ALLOWED: dict[str, set[str]] = {
     },
     "cli": NOUNS
     | {
+        "calibrate",
         "design",
         "evaluate",
         "geometry",
         "patterns",
         "io",
         "options",
+        "rig_bias",
         "pipeline",
         "report",
         "simulate",

@@ -6,11 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
+
 from closed_phases import (
     PLANE,
     Surface,
-    cv_project,
-    cv_rays,
     grid_of,
     is_seen,
     moved,
@@ -18,8 +18,7 @@ from closed_phases import (
     seen_points,
     small_rig,
 )
-from numpy.typing import NDArray
-
+from cv_lens import cv_project, cv_rays
 from fringe3d.correspond import match_both_directions
 from fringe3d.model import NO_ORDER, Correspondences, PhaseMap, Rejection, Rig
 

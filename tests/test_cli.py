@@ -13,14 +13,12 @@ import pytest
 import trimesh
 from matplotlib.figure import Figure
 
-from closed_form import Truth
+from closed_form import Recording
 from fringe3d.cli import main
 from fringe3d.io.images import read_image
 from fringe3d.io.scanfolder import write_scan
-from fringe3d.model import Rejection, Scan
+from fringe3d.model import Rejection
 from fringe3d.patterns import pattern_image
-
-Recording = tuple[Scan, tuple[Truth, ...]]
 
 
 @pytest.fixture

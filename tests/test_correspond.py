@@ -10,7 +10,8 @@ import pytest
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from closed_form import SphereScene, Truth, sees, simulate
+from changed_rigs import moved_rig
+from closed_form import Recording, SphereScene, Truth, record_scene, sees, simulate
 from fringe3d.correspond import match_cameras, match_projector
 from fringe3d.correspond.projector import resolve_orders
 from fringe3d.decode import decode
@@ -36,7 +37,6 @@ from fringe3d.triangulate import remove_edges, remove_isolated, remove_repeated,
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
-Recording = tuple[Scan, tuple[Truth, ...]]
 
 SCENE = SphereScene()
 
@@ -386,9 +386,7 @@ def test_phases_of_different_fringes_are_refused(rig: Rig, twice: Twice) -> None
 
 @pytest.fixture(scope="module")
 def crossed(rig: Rig) -> tuple[list[PhaseMap], Truth]:
-    assert rig.projector is not None
-    plan = sequence(rig.projector.shape, periods_px=(16.0,), n_shifts=4, angles=(0.0, np.pi / 2))
-    scan, truths = simulate(rig, plan, SCENE, np.random.default_rng(5))
+    scan, truths = record_scene(rig, SCENE, seed=5, angles=(0.0, np.pi / 2))
     return [d.main for d in decode(scan.stacks[0]).directions], truths[0]
 
 
@@ -491,14 +489,10 @@ def test_skew_rays_meet_in_the_middle_and_far_ones_are_rejected() -> None:
     x, y = np.moveaxis((pixel_grid(one.shape) - [3.0, 2.0]) / 1000.0, -1, 0)
     truth = 800.0 * np.stack([x, y, np.ones_like(x)], axis=-1)
     exact = exact_matches(one, two, truth)
-    shifted = Correspondences(
-        device_name="c2",
-        pixels_c1=exact.pixels_c1,
+    shifted = replace(
+        exact,
         pixels=exact.pixels + np.array([0.0, 2.0]),
-        sigma_px=exact.sigma_px,
         epipolar_residual_px=np.full(one.shape, 2.0, np.float32),
-        fringe_order=exact.fringe_order,
-        rejection=exact.rejection,
     )
     points = triangulate(shifted, one, two, max_epipolar_px=2.5)
     # Rays are tilted by less than 0.15 in x: 1 % of the distance at most.
@@ -516,15 +510,7 @@ def test_rays_that_meet_behind_or_nowhere_have_no_point() -> None:
     truth = np.concatenate([(grid - [3.0, 2.0]) / 1000.0, np.ones((*one.shape, 1))], -1) * 800.0
     exact = exact_matches(one, two, truth)
     for disparity, reason in ((-5.0, Rejection.BEHIND_DEVICE), (1e-3, Rejection.UNCERTAIN)):
-        matches = Correspondences(
-            device_name="c2",
-            pixels_c1=grid,
-            pixels=grid - [disparity, 0.0],
-            sigma_px=exact.sigma_px,
-            epipolar_residual_px=exact.epipolar_residual_px,
-            fringe_order=exact.fringe_order,
-            rejection=exact.rejection,
-        )
+        matches = replace(exact, pixels=grid - [disparity, 0.0])
         points = triangulate(matches, one, two)
         assert (points.rejection == reason).all()
 
@@ -542,22 +528,6 @@ def test_points_outside_the_volume_are_rejected_and_no_others(
     np.testing.assert_array_equal(expected, points.rejection)
 
 
-def moved(rig: Rig, world: RigidTransform) -> Rig:
-    """Return the rig after the world was moved."""
-    assert rig.projector is not None
-    assert rig.volume is not None
-
-    def carry(device: Device) -> Device:
-        return replace(device, device_from_world=device.device_from_world @ world.inverse())
-
-    normals = rig.volume.normals @ world.rotation.T
-    volume = MeasuringVolume(
-        normals=normals, offsets_mm=rig.volume.offsets_mm + normals @ world.translation
-    )
-    one, two = (carry(camera) for camera in rig.cameras)
-    return Rig(cameras=(one, two), projector=carry(rig.projector), volume=volume)
-
-
 @pytest.mark.parametrize("method", ["stereo", "projector"])
 def test_cloud_moves_with_the_world(
     method: str, rig: Rig, recording: Recording, phases: list[PhaseMap]
@@ -569,7 +539,7 @@ def test_cloud_moves_with_the_world(
                     np.cos(angle)]])  # fmt: skip
     world = RigidTransform(rotation=turn, translation=[400.0, -250.0, 90.0])
     clouds: list[PointMap] = []
-    for each in (rig, moved(rig, world)):
+    for each in (rig, moved_rig(rig, world)):
         assert each.projector is not None
         if method == "stereo":
             other = each.cameras[1]

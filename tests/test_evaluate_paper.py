@@ -20,6 +20,7 @@ from scipy.ndimage import binary_dilation
 
 pytest.importorskip("embreex")
 
+from cv_lens import cv_project
 from fringe3d.cli.console import Reporter
 from fringe3d.cli.paper import PaperOptions, _stage, parse_steps, run_paper
 from fringe3d.cli.paper_judge import Judge, judge_of
@@ -64,13 +65,7 @@ def judge(stage: Stage) -> Judge:
 
 def column(device: Device, points_mm: Floats) -> Floats:
     """Return OpenCV's x in the image of a device, px."""
-    pose = device.device_from_world
-    turn, _ = cv2.Rodrigues(pose.rotation)
-    pixels, _ = cv2.projectPoints(
-        np.ascontiguousarray(points_mm), turn, pose.translation.reshape(3, 1),
-        device.camera_matrix, device.distortion,
-    )  # fmt: skip
-    return np.asarray(pixels, np.float64).reshape(-1, 2)[:, 0]
+    return cv_project(device, points_mm)[:, 0]
 
 
 def measured(points_mm: Floats, sigma_mm: float = 0.01) -> PointMap:
@@ -369,9 +364,11 @@ def test_m2_is_as_complete_as_m1(run: tuple[Path, str]) -> None:
 
 
 def test_two_processes_find_the_same_as_one(run: tuple[Path, str]) -> None:
-    """And leave the environment as it was."""
+    """To the last digit, in the same order; and leave the environment as it was."""
     before = dict(os.environ)
-    text, _ = run_paper(options(jobs=2), Reporter(quiet=True))
+    text, figures = run_paper(options(jobs=2), Reporter(quiet=True))
+    alone = json.loads((run[0] / "paper.json").read_text(encoding="utf-8"))
+    assert json.loads(json.dumps(figures)) == alone
     assert text == run[1].replace("![Right, wrong and missing points](overview.png)\n\n", "")
     assert dict(os.environ) == before
 

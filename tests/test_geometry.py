@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import tomllib
-from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -16,6 +15,8 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
 
+from changed_rigs import moved_device, moved_volume
+from cv_lens import cv_project
 from fringe3d.geometry import (
     closest_depths,
     depth_interval,
@@ -106,28 +107,9 @@ def projector(distortion: ArrayLike = ()) -> Device:
     )
 
 
-def moved(device: Device, new_from_old: RigidTransform) -> Device:
-    pose = device.device_from_world @ new_from_old.inverse()
-    return replace(device, device_from_world=pose)
-
-
-def moved_volume(volume: MeasuringVolume, new_from_old: RigidTransform) -> MeasuringVolume:
-    normals = volume.normals @ new_from_old.rotation.T
-    return MeasuringVolume(
-        normals=normals, offsets_mm=volume.offsets_mm + normals @ new_from_old.translation
-    )
-
-
-def opencv_pixels(device: Device, points_world: Floats) -> Floats:
-    turn = Rotation.from_matrix(device.device_from_world.rotation).as_rotvec()
-    pixels, _ = cv2.projectPoints(
-        points_world.reshape(-1, 1, 3),
-        turn.reshape(3, 1),
-        device.device_from_world.translation.reshape(3, 1),
-        device.camera_matrix,
-        device.distortion,
-    )
-    return np.asarray(pixels, np.float64).reshape(-1, 2)
+AT_ORIGIN = Device(
+    name="p", role="projector", n_rows=100, n_cols=100, focal_px=[100, 100], center_px=[49.5, 49.5]
+)
 
 
 def lens_jacobian(device: Device, normalized: Floats) -> Floats:
@@ -157,7 +139,7 @@ class TestProject:
         device = camera(DISTORTIONS[lens], TILTED)
         points = visible_points(device)
         np.testing.assert_allclose(
-            opencv_pixels(device, points), project(device, points), atol=PIXEL_ROUNDING
+            cv_project(device, points), project(device, points), atol=PIXEL_ROUNDING
         )
 
     def test_plus_x_moves_right_and_plus_y_moves_down(self) -> None:
@@ -188,7 +170,7 @@ class TestProject:
         points = visible_points(device)
         np.testing.assert_allclose(
             project(device, points),
-            project(moved(device, ANY_MOTION), ANY_MOTION.apply(points)),
+            project(moved_device(device, ANY_MOTION), ANY_MOTION.apply(points)),
             atol=PIXEL_ROUNDING,
         )
 
@@ -199,7 +181,7 @@ class TestUnproject:
         device = camera(DISTORTIONS[lens], TILTED)
         pixels = pixel_grid(device.shape)
         origin, directions = rays(device, pixels)
-        found = opencv_pixels(device, (origin + 400 * directions).reshape(-1, 3))
+        found = cv_project(device, (origin + 400 * directions).reshape(-1, 3))
         np.testing.assert_allclose(pixels.reshape(-1, 2), found, atol=INVERSE_PX)
 
     def test_real_strong_lenses_invert_up_to_the_image_corners(self) -> None:
@@ -208,7 +190,7 @@ class TestUnproject:
             corner = [device.n_cols - 0.5, device.n_rows - 0.5]
             pixels = np.vstack([pixels.reshape(-1, 2), [[-0.5, -0.5], corner]])
             origin, directions = rays(device, pixels)
-            found = opencv_pixels(device, origin + 700 * directions)
+            found = cv_project(device, origin + 700 * directions)
             np.testing.assert_allclose(pixels, found, atol=INVERSE_PX)
 
     def test_directions_have_unit_length_and_look_forward(self) -> None:
@@ -266,9 +248,7 @@ class TestUnproject:
             assert np.linalg.det(jacobian).min() > -FOLD_MARGIN
             assert np.trace(jacobian, axis1=1, axis2=2).min() > -FOLD_MARGIN
             rays_z1 = np.concatenate([normalized, np.ones((len(normalized), 1))], axis=1)
-            np.testing.assert_allclose(
-                pixels[finite], opencv_pixels(device, rays_z1), atol=INVERSE_PX
-            )
+            np.testing.assert_allclose(pixels[finite], cv_project(device, rays_z1), atol=INVERSE_PX)
 
     def test_lens_that_unfolds_again_is_not_inverted_beyond_its_fold(self) -> None:
         # r (1 - 0.18 r^2 - 1.02 r^4 + 0.65 r^6) falls between 0.69 and 1.06 and rises again.
@@ -300,7 +280,7 @@ class TestRays:
         device = camera(DISTORTIONS["5"], TILTED)
         pixels = pixel_grid((96, 128))[::9, ::9]
         origin, directions = rays(device, pixels)
-        origin2, directions2 = rays(moved(device, ANY_MOTION), pixels)
+        origin2, directions2 = rays(moved_device(device, ANY_MOTION), pixels)
         np.testing.assert_allclose(ANY_MOTION.apply(origin), origin2, atol=LENGTH_ROUNDING_MM)
         np.testing.assert_allclose(ANY_MOTION.rotate(directions), directions2, atol=1e-12)
 
@@ -340,7 +320,7 @@ class TestEpipolarCurve:
         a, b = camera(DISTORTIONS["5"], BESIDE), projector(DISTORTIONS["4 barrel"])
         expected = epipolar_curve(a, b, [20.0, 80.0], self.depths)
         found = epipolar_curve(
-            moved(a, ANY_MOTION), moved(b, ANY_MOTION), [20.0, 80.0], self.depths
+            moved_device(a, ANY_MOTION), moved_device(b, ANY_MOTION), [20.0, 80.0], self.depths
         )
         np.testing.assert_allclose(expected, found, atol=PIXEL_ROUNDING)
 
@@ -458,7 +438,7 @@ class TestFrustum:
     def test_undistorted_frustum_ends_at_the_image_edge(self) -> None:
         device = camera(device_from_world=TILTED)
         points = visible_points(device, n=3000)
-        x, y = opencv_pixels(device, points).T
+        x, y = cv_project(device, points).T
         expected = (x >= -0.5) & (x <= 127.5) & (y >= -0.5) & (y <= 95.5)
         assert expected.tolist() == frustum(device).contains(points).tolist()
         assert 0 < expected.sum() < len(points)
@@ -489,7 +469,7 @@ angles = pytest.mark.parametrize("angle_deg", [0.0, 37.0, 90.0])
 
 def lit_points(device: Device, points: Floats) -> NDArray[np.bool_]:
     """Tell which points fall into the image, and into it before the lens folds."""
-    x, y = opencv_pixels(device, points).T
+    x, y = cv_project(device, points).T
     inside = (x >= -0.5) & (x <= 255.5) & (y >= -0.5) & (y <= 191.5)
     in_device = device.device_from_world.apply(points)
     before_fold = np.linalg.norm(in_device[:, :2] / in_device[:, 2:], axis=1) < 0.5
@@ -497,7 +477,7 @@ def lit_points(device: Device, points: Floats) -> NDArray[np.bool_]:
 
 
 def sheet_coordinate(device: Device, points: Floats, angle: float) -> Floats:
-    x, y = opencv_pixels(device, points).T
+    x, y = cv_project(device, points).T
     return np.asarray(math.cos(angle) * (x + 0.5) + math.sin(angle) * (y + 0.5))
 
 
@@ -552,7 +532,7 @@ class TestSheetCrossing:
         depth = np.random.default_rng(11).uniform(350, 500, len(directions))
         points = origin + depth[:, None] * directions
         lit = lit_points(device, points)
-        x = opencv_pixels(device, points)[:, 0]
+        x = cv_project(device, points)[:, 0]
         found = sheet_crossing(device, origin, directions[lit], x[lit] + 0.5, 0.0)
         px_per_mm = 0.1
         np.testing.assert_allclose(depth[lit], found, atol=SHEET_PX / px_per_mm)
@@ -563,7 +543,7 @@ class TestSheetCrossing:
         position = np.full(len(directions), 130.0)
         expected = sheet_crossing(device, origin, directions, position, 0.3)
         found = sheet_crossing(
-            moved(device, ANY_MOTION),
+            moved_device(device, ANY_MOTION),
             ANY_MOTION.apply(origin),
             ANY_MOTION.rotate(directions),
             position,
@@ -573,32 +553,24 @@ class TestSheetCrossing:
         np.testing.assert_allclose(expected, found, atol=1e-5)
 
     def test_sheet_that_the_ray_meets_behind_is_nan(self) -> None:
-        at_origin = Device(
-            name="p", role="projector", n_rows=100, n_cols=100, focal_px=[100, 100],
-            center_px=[49.5, 49.5],
-        )  # fmt: skip
         origin = np.array([50.0, 0.0, 0.0])
         toward = np.array([[0.0, 0.0, 1.0]])
-        ahead = sheet_crossing(at_origin, origin, toward, np.array([75.0]), 0.0)
-        behind = sheet_crossing(at_origin, origin, toward, np.array([25.0]), 0.0)
-        parallel = sheet_crossing(at_origin, origin, toward, np.array([50.0]), 0.0)
-        passed = sheet_crossing(at_origin, np.array([50.0, 0, 300]), toward, np.array([75.0]), 0.0)
+        ahead = sheet_crossing(AT_ORIGIN, origin, toward, np.array([75.0]), 0.0)
+        behind = sheet_crossing(AT_ORIGIN, origin, toward, np.array([25.0]), 0.0)
+        parallel = sheet_crossing(AT_ORIGIN, origin, toward, np.array([50.0]), 0.0)
+        passed = sheet_crossing(AT_ORIGIN, np.array([50.0, 0, 300]), toward, np.array([75.0]), 0.0)
         np.testing.assert_allclose(200, ahead, atol=LENGTH_ROUNDING_MM)
         assert np.isnan([behind, parallel, passed]).all()
 
     @angles
     def test_larger_position_lies_on_the_side_of_larger_coordinates(self, angle_deg: float) -> None:
         angle = math.radians(angle_deg)
-        at_origin = Device(
-            name="p", role="projector", n_rows=100, n_cols=100, focal_px=[100, 100],
-            center_px=[49.5, 49.5],
-        )  # fmt: skip
         along = np.array([[math.cos(angle), math.sin(angle), 0.0]])
         origin = np.array([-1000.0 * along[0, 0], -1000.0 * along[0, 1], 200.0])
         middle = 50 * (math.cos(angle) + math.sin(angle))
         for offset_px in (-10.0, 0.0, 10.0):
             position = np.array([middle + offset_px])
-            found = sheet_crossing(at_origin, origin, along, position, angle)
+            found = sheet_crossing(AT_ORIGIN, origin, along, position, angle)
             expected = 1000 + 200 * offset_px / 100
             np.testing.assert_allclose(expected, found, atol=1e-5)
 
@@ -650,7 +622,7 @@ class TestTriangulationAngle:
         # Devices 100 mm left and right of a point 100 sqrt(3) mm away: a triangle of 60 degrees.
         left = camera(device_from_world=pose([0, 0, 0], [100, 0, 0]))
         turned = camera(device_from_world=pose([0.1, 0.2, 0.3], [0, 0, 0]))
-        right = moved(turned, pose([0, 0, 0], [100, 0, 0]))
+        right = moved_device(turned, pose([0, 0, 0], [100, 0, 0]))
         found = triangulation_angle(left, right, [0, 0, 100 * math.sqrt(3)])
         assert math.degrees(found) == pytest.approx(60, abs=1e-9)
 
@@ -708,7 +680,7 @@ class TestRigFile:
 
     def test_slab_of_a_device_that_moved_stays_where_it_was(self, tmp_path: Path) -> None:
         volume = MeasuringVolume.depth_slab(projector(), depth_min_mm=200, depth_max_mm=500)
-        elsewhere = moved(projector(), pose([0.1, 0.2, 0.3], [5, 6, 7]))
+        elsewhere = moved_device(projector(), pose([0.1, 0.2, 0.3], [5, 6, 7]))
         kind, again = self.again(Rig(cameras=(camera(),), projector=elsewhere, volume=volume),
                                  tmp_path)  # fmt: skip
         assert kind == "half_spaces"

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
-from closed_form import SphereScene, simulate
+from closed_form import SphereScene, record_scene, simulate
 from fringe3d.correspond.projector import match_projector
 from fringe3d.decode import decode
 from fringe3d.decode.order import order_table
@@ -30,7 +30,6 @@ from fringe3d.model import (
 )
 from fringe3d.model.plan import fringes, gray_code
 from fringe3d.options import Method
-from fringe3d.patterns import sequence
 from fringe3d.pipeline import MeasureOptions, measure
 
 MAD_TO_SIGMA = 1.4826
@@ -113,10 +112,16 @@ def test_two_cameras_measure_with_gray_code_alone(
     rig: Rig, cell_px: float, directions: int
 ) -> None:
     """A cell smoothed over 7 x 7 pixels is good to a fraction of it: 15 um per px of a cell."""
-    assert rig.projector is not None
-    plan = sequence(rig.projector.shape, periods_px=(cell_px,), n_shifts=0, gray="plain",
-                    inverses=True, angles=(0.0, np.pi / 2)[:directions])  # fmt: skip
-    scan, truths = simulate(rig, plan, SphereScene(), np.random.default_rng(3))
+    scan, truths = record_scene(
+        rig,
+        SphereScene(),
+        seed=3,
+        periods_px=(cell_px,),
+        n_shifts=0,
+        gray="plain",
+        inverses=True,
+        angles=(0.0, np.pi / 2)[:directions],
+    )
     result = measure(scan)
     assert result.points is not None
     good = result.points.is_valid
@@ -127,10 +132,9 @@ def test_two_cameras_measure_with_gray_code_alone(
 
 def test_cameras_that_differ_in_focus_are_matched_by_the_same_period(rig: Rig) -> None:
     """The finer fringe is so weak in C2 that its best period is the other one."""
-    assert rig.projector is not None
-    plan = sequence(rig.projector.shape, periods_px=(16.0, 20.0), n_shifts=4)
-    scan, _ = simulate(rig, plan, SphereScene(), np.random.default_rng(3))
-    fine = [i for i, p in enumerate(plan.patterns) if isinstance(p, Fringe) and p.period_px == 16]
+    scan, _ = record_scene(rig, SphereScene(), seed=3, periods_px=(16.0, 20.0))
+    patterns = scan.stacks[1].plan.patterns
+    fine = [i for i, p in enumerate(patterns) if isinstance(p, Fringe) and p.period_px == 16]
     images = scan.stacks[1].images.copy()
     mean = images[fine].mean(axis=0)
     images[fine] = np.rint(mean + 0.7 * (images[fine] - mean)).astype(np.uint8)
@@ -151,13 +155,10 @@ def test_one_period_without_code_is_not_absolute(rig: Rig) -> None:
 
 def test_trinocular_residual_keeps_whole_periods(rig: Rig) -> None:
     """A projector shifted by 20 px (1.25 periods) is told as 20 px, not as 4."""
+    scan, _ = record_scene(rig, SphereScene(), seed=3)
     assert rig.projector is not None
-    plan = sequence(rig.projector.shape, periods_px=(16.0,), n_shifts=4)
-    scan, _ = simulate(rig, plan, SphereScene(), np.random.default_rng(3))
-    p = rig.projector
-    moved = Device(name=p.name, role=p.role, n_rows=p.n_rows, n_cols=p.n_cols,
-                   focal_px=p.focal_px, center_px=p.center_px + np.array([20.0, 0.0]),
-                   distortion=p.distortion, device_from_world=p.device_from_world)  # fmt: skip
+    center = rig.projector.center_px + np.array([20.0, 0.0])
+    moved = replace(rig.projector, center_px=center)
     wrong = replace(rig, projector=moved)
     with pytest.raises(ValueError, match=r"trinocular residual .*: median \|r\| (19|20)\."):
         measure(Scan(stacks=scan.stacks, rig=wrong))
@@ -165,17 +166,15 @@ def test_trinocular_residual_keeps_whole_periods(rig: Rig) -> None:
 
 def test_a_dim_linear_projector_is_not_accused_of_gamma(rig: Rig) -> None:
     """Contrast of a few grey values: the noise must not pass for a harmonic."""
-    assert rig.projector is not None
-    plan = sequence(rig.projector.shape, periods_px=(16.0,), n_shifts=8)
-    scan, _ = simulate(rig, plan, SphereScene(light_dn=25.0), np.random.default_rng(3))
+    scan, _ = record_scene(rig, SphereScene(light_dn=25.0), seed=3, n_shifts=8)
     assert not [f for f in measure(scan).warnings if "gamma" in f.text]
 
 
 def test_wide_periods_are_not_accused_of_gamma(rig: Rig) -> None:
     """A surface under one fringe does not show all phases alike."""
-    assert rig.projector is not None
-    plan = sequence(rig.projector.shape, periods_px=(16.0, 128.0, 1024.0), n_shifts=3, gray="none")
-    scan, _ = simulate(rig, plan, SphereScene(), np.random.default_rng(3))
+    scan, _ = record_scene(
+        rig, SphereScene(), seed=3, periods_px=(16.0, 128.0, 1024.0), n_shifts=3, gray="none"
+    )
     assert not [f for f in measure(scan).warnings if "gamma" in f.text]
 
 
@@ -188,10 +187,7 @@ def test_a_plain_code_cut_short_is_ambiguous_where_it_is_and_nowhere_wrong(
 
     A few pixels at the rim see the plane outside the volume, whose order has a twin inside.
     """
-    assert rig.projector is not None
-    plan = sequence(rig.projector.shape, periods_px=(16.0,), n_shifts=4, gray="plain",
-                    angles=(0.0, np.pi / 2))  # fmt: skip
-    scan, truths = simulate(rig, plan, SphereScene(), np.random.default_rng(3))
+    scan, truths = record_scene(rig, SphereScene(), seed=3, gray="plain", angles=(0.0, np.pi / 2))
     options = MeasureOptions(method=method, gray_bits=gray_bits)
     result = measure(scan, options).points
     assert result is not None
@@ -204,9 +200,7 @@ def test_a_plain_code_cut_short_is_ambiguous_where_it_is_and_nowhere_wrong(
 
 
 def test_a_plain_code_cut_short_needs_the_projector_between_two_cameras(rig: Rig) -> None:
-    assert rig.projector is not None
-    plan = sequence(rig.projector.shape, periods_px=(16.0,), n_shifts=4, gray="plain")
-    scan, _ = simulate(rig, plan, SphereScene(), np.random.default_rng(3))
+    scan, _ = record_scene(rig, SphereScene(), seed=3, gray="plain")
     alone = replace(scan, rig=replace(rig, projector=None))
     with pytest.raises(MethodError, match="repeat mirrored"):
         measure(alone, MeasureOptions(gray_bits=3))

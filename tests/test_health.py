@@ -7,15 +7,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
 
-from closed_form import SphereScene, Truth, simulate
+from changed_rigs import turned
+from closed_form import Recording, SphereScene, record_scene
 from fringe3d.errors import CalibrationError, MethodError
-from fringe3d.model import Device, Fringe, ImageStack, PatternPlan, Rig, RigidTransform, Scan
-from fringe3d.patterns import sequence
+from fringe3d.model import Fringe, ImageStack, PatternPlan, Rig, Scan
+from fringe3d.options import Method
 from fringe3d.pipeline import Measurement, MeasureOptions, measure
-
-Recording = tuple[Scan, tuple[Truth, ...]]
 
 FIGURE_TOLERANCE_PX = 0.03
 """The median of 60 000 residuals of 0.02 px is far better; the lens turns 1 px into 0.98-1.02."""
@@ -37,13 +35,6 @@ def with_device(rig: Rig, index: int, **changes: Any) -> Rig:
     return replace(rig, cameras=tuple(cameras))
 
 
-def turned(device: Device, axis: str, degrees: float) -> RigidTransform:
-    """Return the pose of a device turned about its own axis."""
-    rotation = Rotation.from_euler(axis, degrees, degrees=True).as_matrix()
-    turn = RigidTransform(rotation=rotation, translation=np.zeros(3))
-    return turn @ device.device_from_world
-
-
 def test_a_true_calibration_gives_no_warning(recording: Recording) -> None:
     result = measure(recording[0])
     assert result.warnings == ()
@@ -55,8 +46,8 @@ def test_a_true_calibration_gives_no_warning(recording: Recording) -> None:
 def test_a_turned_camera_is_noticed(recording: Recording, axis: str, degrees: float) -> None:
     scan = recording[0]
     assert scan.rig is not None
-    pose = turned(scan.rig.cameras[1], axis, degrees)
-    wrong = with_device(scan.rig, 1, device_from_world=pose)
+    c1, c2 = scan.rig.cameras
+    wrong = replace(scan.rig, cameras=(c1, turned(c2, axis, degrees)))
     assert_noticed(replace(scan, rig=wrong))
 
 
@@ -89,10 +80,12 @@ def test_trinocular_residual_is_the_shift_of_the_projector(recording: Recording)
     assert any("trinocular" in finding.text for finding in result.warnings)
 
 
-@pytest.mark.parametrize("gray_bits", [0, 1])
-def test_a_code_too_short_for_the_volume_is_refused(recording: Recording, gray_bits: int) -> None:
+@pytest.mark.parametrize(("method", "gray_bits"), [("m3", 0), ("auto", 1)])
+def test_a_code_too_short_for_the_volume_is_refused(
+    recording: Recording, method: Method, gray_bits: int
+) -> None:
     with pytest.raises(MethodError, match=r"Record a reduced Gray code|cyclic code images"):
-        measure(recording[0], MeasureOptions(gray_bits=gray_bits))
+        measure(recording[0], MeasureOptions(method=method, gray_bits=gray_bits))
 
 
 def test_fringes_shifted_the_other_way_are_noticed(recording: Recording) -> None:
@@ -122,17 +115,13 @@ def test_gamma_is_a_warning_where_it_disturbs_the_phase(
     rig: Rig, n_shifts: int, n_warnings: int
 ) -> None:
     """With 4 steps gamma 2.2 leaves its third harmonic (1 %), with 8 nothing worth mentioning."""
-    assert rig.projector is not None
-    plan = sequence(rig.projector.shape, periods_px=(16.0,), n_shifts=n_shifts)
-    scan, _ = simulate(rig, plan, SphereScene(gamma=2.2), np.random.default_rng(5))
+    scan, _ = record_scene(rig, SphereScene(gamma=2.2), seed=5, n_shifts=n_shifts)
     assert len([f for f in measure(scan).warnings if "gamma" in f.text]) == n_warnings
 
 
 def test_gamma_that_does_no_harm_is_told_with_its_figure(rig: Rig) -> None:
     """(1 + cos)**g has a second harmonic of (g - 1) / (g + 2) of the first: 0.286."""
-    assert rig.projector is not None
-    plan = sequence(rig.projector.shape, periods_px=(16.0,), n_shifts=8)
-    scan, _ = simulate(rig, plan, SphereScene(gamma=2.2), np.random.default_rng(5))
+    scan, _ = record_scene(rig, SphereScene(gamma=2.2), seed=5, n_shifts=8)
     result = measure(scan)
     told = [f.text for f in result.findings if f.level == "ok" and "gamma" in f.text]
     assert len(told) == 2
@@ -142,10 +131,14 @@ def test_gamma_that_does_no_harm_is_told_with_its_figure(rig: Rig) -> None:
 
 def test_one_camera_gets_one_warning_of_gamma_with_every_figure(rig: Rig) -> None:
     """Two directions and two periods, as two cameras of any recording may have them."""
-    assert rig.projector is not None
-    plan = sequence(rig.projector.shape, periods_px=(16.0, 21.0), n_shifts=3,
-                    angles=(0.0, np.pi / 2))  # fmt: skip
-    scan, _ = simulate(rig, plan, SphereScene(gamma=2.2), np.random.default_rng(5))
+    scan, _ = record_scene(
+        rig,
+        SphereScene(gamma=2.2),
+        seed=5,
+        periods_px=(16.0, 21.0),
+        n_shifts=3,
+        angles=(0.0, np.pi / 2),
+    )
     result = measure(Scan(stacks=scan.stacks[:1]))
     ripples = [f for f in result.warnings if f.name == "c1_ripple_rad"]
     periods = [f for f in result.warnings if f.name == "c1_period_disagreement_px"]
@@ -162,9 +155,7 @@ def test_one_camera_gets_one_warning_of_gamma_with_every_figure(rig: Rig) -> Non
 
 @pytest.mark.parametrize("n_shifts", [3, 4, 8])
 def test_a_linear_response_gives_no_warning(rig: Rig, n_shifts: int) -> None:
-    assert rig.projector is not None
-    plan = sequence(rig.projector.shape, periods_px=(16.0,), n_shifts=n_shifts)
-    scan, _ = simulate(rig, plan, SphereScene(), np.random.default_rng(5))
+    scan, _ = record_scene(rig, SphereScene(), seed=5, n_shifts=n_shifts)
     assert measure(scan).warnings == ()
 
 
@@ -174,7 +165,5 @@ def test_ripple_with_three_steps_is_the_second_harmonic(rig: Rig) -> None:
     For ``v**2`` the ratio is 1/4 exactly: (1 + cos)**2 / 4 = 3/8 + cos / 2 + cos(2.) / 8. The
     mean of exp(i N phi) is the Bessel-like series N a / 2 - ..., a few per cent off at 0.25.
     """
-    assert rig.projector is not None
-    plan = sequence(rig.projector.shape, periods_px=(16.0,), n_shifts=3)
-    scan, _ = simulate(rig, plan, SphereScene(gamma=2.0), np.random.default_rng(5))
+    scan, _ = record_scene(rig, SphereScene(gamma=2.0), seed=5, n_shifts=3)
     assert figure(measure(scan), "c1_x_16px_ripple_rad") == pytest.approx(0.25, rel=0.12)

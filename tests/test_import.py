@@ -21,7 +21,7 @@ import cv2
 import numpy as np
 import pytest
 
-from closed_form import Truth
+from closed_form import Recording
 from fringe3d.cli import main
 from fringe3d.errors import OutputError
 from fringe3d.io.atomic import write_text
@@ -34,13 +34,14 @@ from fringe3d.io.scanfolder import write_scan
 from fringe3d.model import Device, Rig, RigidTransform, Scan
 from fringe3d.pipeline import MeasureOptions, measure
 
-Recording = tuple[Scan, tuple[Truth, ...]]
 TypeIn = Callable[..., None]
 
 FRINGES, CODE = "fringes period_px=16 n_shifts=4", "gray cell_px=8 n_bits=7"
 CAMERAS = ("--camera", "c1=left/shot{index}.png@1", "--camera", "c2=right/shot{index}.png@1")
 SEQUENCE = ("--sequence", FRINGES, "--sequence", CODE)
 DESCRIBED = ("import", "images", *CAMERAS, *SEQUENCE)
+ONE_CAMERA = ("import", "images", "--camera", "c1={index}.png",
+              "--sequence", "light", "--sequence", "dark")  # fmt: skip
 KEYS = ("M1", "D1", "M2", "D2", "R", "T")
 OTHER_KEYS = ("K_left", "k_left", "K_right", "k_right", "rotation", "translation")
 
@@ -109,22 +110,8 @@ def second_from_first(devices: Sequence[Device]) -> RigidTransform:
 def small_rig(rig: Rig) -> Rig:
     """Return the rig with a first camera that has the size of the small images."""
     first, second = rig.cameras
-    small = replace_size(first, (6, 8))
+    small = replace(first, n_rows=6, n_cols=8)
     return Rig(cameras=(small, second), projector=rig.projector)
-
-
-def replace_size(device: Device, shape: tuple[int, int]) -> Device:
-    """Return a device with the same optics before another sensor."""
-    return Device(
-        name=device.name,
-        role=device.role,
-        n_rows=shape[0],
-        n_cols=shape[1],
-        focal_px=device.focal_px,
-        center_px=device.center_px,
-        distortion=device.distortion,
-        device_from_world=device.device_from_world,
-    )
 
 
 @pytest.fixture
@@ -508,8 +495,7 @@ def test_where_nobody_can_be_asked_the_needed_options_are_named(
 def test_wrong_option_ends_in_one_message_before_anything_is_asked_or_written(
     given: tuple[str, ...], said: str, small: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    failure(["import", "images", "--camera", "c1={index}.png", "--sequence", "light",
-             "--sequence", "dark", *given])  # fmt: skip
+    failure([*ONE_CAMERA, *given])
     message = capsys.readouterr().err
     assert re.search(said, message)
     assert message.count("\n") == 1
@@ -524,8 +510,7 @@ def calibrated(small: Path, rig: Rig) -> list[str]:
     """Return a command that writes a scan file and a rig file for the small images."""
     write_calibration(small_rig(rig).cameras, Path("stereo.yml"))
     assert small.is_dir()
-    return ["import", "images", "--camera", "c1={index}.png", "--camera", "c2={index}.png",
-            "--sequence", "light", "--sequence", "dark", "--calibration", "stereo.yml"]  # fmt: skip
+    return [*ONE_CAMERA, "--camera", "c2={index}.png", "--calibration", "stereo.yml"]
 
 
 def test_converted_calibration_never_replaces_a_rig_unasked(

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import replace
 from functools import cache
 
-import numba
 import numpy as np
 import pytest
-from closed_phases import cv_project, cv_rays, grid_of, small_rig
 
 from closed_form import SphereScene, Truth, simulate
+from closed_phases import grid_of, small_rig
+from cv_lens import cv_project, cv_rays
 from fringe3d.errors import MethodError
 from fringe3d.methods import Choice, choose_method, images_of, settle
 from fringe3d.model import (
@@ -27,6 +26,8 @@ from fringe3d.model import (
 from fringe3d.model.plan import Pattern, fringes, gray_code
 from fringe3d.options import MeasureOptions, keep_images
 from fringe3d.pipeline import Measurement, measure
+
+pytestmark = pytest.mark.usefixtures("one_thread")
 
 DOWN = float(np.pi / 2)
 LIGHT_DARK: tuple[Pattern, ...] = (Uniform(level=1.0), Uniform(level=0.0))
@@ -46,14 +47,6 @@ N_ORDERS = 64
 ASLANT = float(np.arctan(0.38))
 """Fringe angle, rad. C2's curves run along the projector's rows: whole periods of one direction are
 0.38, 0.76 ... periods of the other, never nearly whole ones up to the seventh."""
-
-
-@pytest.fixture(autouse=True, scope="module")
-def _one_thread() -> Iterator[None]:
-    before = numba.get_num_threads()
-    numba.set_num_threads(1)
-    yield
-    numba.set_num_threads(before)
 
 
 @cache
@@ -116,7 +109,7 @@ def outcome(rig: Rig | None, plan: PatternPlan, asked: str, n_classes: int) -> C
         ("wide", (X, CODE_X, Y, CODE_Y), 64, "auto", "m1"),
         ("wide", (X, REDUCED), 4, "auto", "m2"),
         ("blind", (X, REDUCED), 4, "auto", "m2"),
-        ("wide", (X,), 1, "auto", "m3"),
+        ("wide", (X,), 1, "auto", "m6"),
         ("narrow", (X,), 1, "auto", "m5"),
         ("wide", (X, Y), 1, "auto", "m4"),
         ("blind", (X, Y), 1, "auto", "m4"),
@@ -169,7 +162,7 @@ def test_method_of_plan_and_rig(
         ("wide", (X, CODE_X), 64, "m4", r"two directions, found 1.*--method m1"),
         ("wide", (CODE_X,), 64, "m5", r"--method m5: expected fringe images, found none.*m1"),
         ("endless", (X, REDUCED), 4, "m2", r"method m2: expected a measuring volume.*--depth"),
-        ("endless", (X,), 1, "auto", r"method m3: expected a measuring volume.*--depth"),
+        ("endless", (X,), 1, "auto", r"method m6: expected a measuring volume.*--depth"),
     ],
 )
 def test_method_that_is_not_possible_is_refused(
@@ -309,9 +302,13 @@ def test_m2_of_a_full_code_equals_measuring_with_its_finest_bits() -> None:
 
 def test_light_and_dark_images_are_not_needed() -> None:
     """The mean of the phase steps is the threshold, with them and without."""
-    scan, _ = recorded("wide", "x", "code", "light")
+    scan, truths = recorded("wide", "x", "code", "light")
     with_both = measure(scan, MeasureOptions(method="m1"))
-    same_points(with_both, measure(scan, MeasureOptions(method="m1", light_dark=False)))
+    without = measure(scan, MeasureOptions(method="m1", light_dark=False))
+    same_points(with_both, without)
+    wrong = off_mm(without, truths[0]) > 0.2  # a period is 3 mm or more, sigma 0.01 mm
+    assert wrong.mean() < 0.005
+    assert len(wrong) > 0.7 * truths[0].lit.sum()
 
 
 def test_m4_without_projector() -> None:

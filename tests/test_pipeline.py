@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy import ndimage
-from scipy.spatial.transform import Rotation
 
-from closed_form import SphereScene, Truth, simulate
+from changed_rigs import turned
+from closed_form import Recording, SphereScene, Truth, record_scene, simulate
 from fringe3d.errors import CalibrationError, EmptyResultError, MethodError
 from fringe3d.methods import choose_method
 from fringe3d.model import (
@@ -29,7 +29,6 @@ from fringe3d.patterns import sequence
 from fringe3d.pipeline import Measurement, MeasureOptions, measure, point_cloud
 
 Floats = NDArray[np.float64]
-Recording = tuple[Scan, tuple[Truth, ...]]
 
 PULL = (0.9, 1.15)
 """Asked for; sigma has one noise figure for an image whose shot noise varies."""
@@ -285,9 +284,7 @@ def test_reduced_code_with_the_projector_gives_the_same_points(
 
 def test_two_directions_with_reduced_codes_give_the_same_points(rig: Rig) -> None:
     """Each direction is resolved on the segment; 3 of 7 and 7 bits are kept."""
-    assert rig.projector is not None
-    plan = sequence(rig.projector.shape, periods_px=(16.0,), n_shifts=4, angles=(0.0, np.pi / 2))
-    scan, _ = simulate(rig, plan, SphereScene(), np.random.default_rng(5))
+    scan, _ = record_scene(rig, SphereScene(), seed=5, angles=(0.0, np.pi / 2))
     full = measure(scan, PROJECTOR).points
     reduced = measure(scan, replace(PROJECTOR, gray_bits=3)).points
     assert full is not None
@@ -299,9 +296,7 @@ def test_two_directions_with_reduced_codes_give_the_same_points(rig: Rig) -> Non
 
 @pytest.mark.parametrize("direction", ["x", "y"])
 def test_one_direction_can_be_left_out(direction: Direction, rig: Rig) -> None:
-    assert rig.projector is not None
-    plan = sequence(rig.projector.shape, periods_px=(16.0,), n_shifts=4, angles=(0.0, np.pi / 2))
-    scan, truths = simulate(rig, plan, SphereScene(), np.random.default_rng(5))
+    scan, truths = record_scene(rig, SphereScene(), seed=5, angles=(0.0, np.pi / 2))
     options = replace(PROJECTOR, direction=direction)
     assert keep_images(scan.stacks[0], options).plan.angles == (
         {"x": 0.0, "y": np.pi / 2}[direction],
@@ -318,9 +313,7 @@ def test_one_direction_can_be_left_out(direction: Direction, rig: Rig) -> None:
 
 def test_two_cameras_take_the_direction_that_crosses_the_epipolar_lines(rig: Rig) -> None:
     """The cameras stand side by side: horizontal fringes alone mark no points, and it is said."""
-    assert rig.projector is not None
-    plan = sequence(rig.projector.shape, periods_px=(16.0,), n_shifts=4, angles=(np.pi / 2, 0.0))
-    scan, truths = simulate(rig, plan, SphereScene(), np.random.default_rng(5))
+    scan, truths = record_scene(rig, SphereScene(), seed=5, angles=(np.pi / 2, 0.0))
     result = measure(scan)
     assert result.main.angle == 0.0
     assert result.points is not None
@@ -423,13 +416,6 @@ def test_depth_range_keeps_exactly_the_points_between_the_two_depths(
 # Wrong calibrations
 
 
-def turned(device: Device, axis: str, degrees: float) -> Device:
-    """Return a device turned about an axis of its own frame: a wrong calibration."""
-    rotation = Rotation.from_euler(axis, degrees, degrees=True).as_matrix()
-    turn = RigidTransform(rotation=rotation, translation=np.zeros(3))
-    return replace(device, device_from_world=turn @ device.device_from_world)
-
-
 def transposed(device: Device) -> Device:
     """Return a device with R inverted but not t: the commonest mistake of rig files."""
     pose = device.device_from_world
@@ -476,9 +462,7 @@ def test_wrong_pose_of_the_second_camera_does_not_pass_in_silence(
 
 @pytest.fixture(scope="module")
 def crossed(rig: Rig) -> Scan:
-    assert rig.projector is not None
-    plan = sequence(rig.projector.shape, periods_px=(16.0,), n_shifts=4, angles=(0.0, np.pi / 2))
-    return simulate(rig, plan, SphereScene(), np.random.default_rng(5))[0]
+    return record_scene(rig, SphereScene(), seed=5, angles=(0.0, np.pi / 2))[0]
 
 
 PROJECTOR_MISTAKES: list[Mistake] = [
@@ -531,9 +515,7 @@ def test_gamma_with_three_steps_and_two_periods_is_named_and_linear_light_is_not
 @pytest.mark.parametrize("n_shifts", [4, 5, 8])
 def test_gamma_hardly_matters_for_two_cameras(n_shifts: int, rig: Rig) -> None:
     """Both see the same error of phase; nor does it pass for noise."""
-    assert rig.projector is not None
-    plan = sequence(rig.projector.shape, periods_px=(16.0,), n_shifts=n_shifts)
-    scan, truths = simulate(rig, plan, SphereScene(gamma=2.2), np.random.default_rng(3))
+    scan, truths = record_scene(rig, SphereScene(gamma=2.2), seed=3, n_shifts=n_shifts)
     result = measure(scan)
     assert (result.rejection == 0).sum() > 50_000
     # Five steps: the modulation of the first harmonic carries part of the fourth.

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 import closed_form
 from closed_form import SphereScene, demo_rig
+from cv_lens import cv_project, cv_rays
 from fringe3d.model import Device, Rig, RigidTransform, Scan
 from fringe3d.patterns import method_plan
 from fringe3d.pipeline import measure
@@ -57,33 +58,12 @@ SEED = 20261122
 # Oracles: OpenCV and school geometry
 
 
-def matrix(device: Device) -> Floats:
-    """Return OpenCV's camera matrix of a device."""
-    (fx, fy), (cx, cy) = device.focal_px, device.center_px
-    return np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
-
-
 def pixels_of(device: Device, points: Floats) -> Floats:
-    """Project points (..., 3) with OpenCV."""
-    pose = device.device_from_world
+    """Project points (..., 3) with OpenCV; NaN stays NaN."""
     pixels = np.full((*points.shape[:-1], 2), np.nan)
     known = np.isfinite(points).all(axis=-1)
-    turn, _ = cv2.Rodrigues(pose.rotation)
-    pixels[known] = cv2.projectPoints(
-        points[known], turn, pose.translation, matrix(device), device.distortion
-    )[0][:, 0]
+    pixels[known] = cv_project(device, points[known])
     return pixels
-
-
-def rays_of(device: Device, pixels: Floats) -> tuple[Floats, Floats]:
-    """Return the centre and unit directions (n, 3) of the rays of pixels (n, 2), by OpenCV."""
-    stop = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 200, 1e-13)
-    flat = cv2.undistortPoints(
-        pixels[:, None].copy(), matrix(device), device.distortion, criteria=stop
-    )[:, 0]
-    pose = device.device_from_world
-    directions = np.column_stack([flat, np.ones(len(flat))]) @ pose.rotation
-    return -pose.rotation.T @ pose.translation, unit(directions)
 
 
 def in_image(device: Device, pixels: Floats) -> Bools:
@@ -443,7 +423,7 @@ def segments(preset: Preset) -> Floats:
     assert projector is not None
     x, y = np.meshgrid(np.linspace(-0.5, camera.n_cols - 0.5, 25),
                        np.linspace(-0.5, camera.n_rows - 0.5, 21))  # fmt: skip
-    center, directions = rays_of(camera, np.column_stack([x.ravel(), y.ravel()]))
+    center, directions = cv_rays(camera, np.column_stack([x.ravel(), y.ravel()]))
     reach = np.hypot(preset.diameter_mm, preset.height_mm)
     along = np.linalg.norm(center) + np.linspace(-reach, reach, 1000)
     points = center + along[:, None] * directions[:, None]

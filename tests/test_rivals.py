@@ -1,0 +1,366 @@
+"""Orders and bias found together, on exact phases: what is decided, and what is left open."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from changed_rigs import turned
+from closed_phases import (
+    Surface,
+    grid_of,
+    moved,
+    phase_map,
+    seen_points,
+    small_rig,
+    true_turns,
+    visible,
+)
+from cv_lens import cv_project
+from fringe3d.correspond import Rivals, Task, TwoViews, choose_orders, coarse_stride, rivals
+from fringe3d.correspond.candidates import ChosenOrders
+from fringe3d.correspond.solving import Solution
+from fringe3d.model import NO_ORDER, CalibrationBias, Rejection, Rig
+
+pytestmark = pytest.mark.usefixtures("one_thread")
+
+Floats = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+SCENE = Surface()
+PLANE = Surface(plane_z_mm=0.0, radius_mm=0.0)
+"""In the middle of the volume: one period up or down is inside, too."""
+SEED = 4
+STD_RAD = 0.01
+TURNED_DEG = 0.01
+"""Of C2 against its calibration: 0.28 px."""
+
+
+@cache
+def nearly_symmetric() -> Rig:
+    """Return a rig whose projector stands 1 degree off the middle; C2 sees more than C1."""
+    rig = small_rig(projector_azimuth_deg=-1.0)
+    c1, c2 = rig.cameras
+    c2 = moved(c2, n_cols=280, n_rows=200, center_px=c2.center_px + np.array([60.0, 36.0]),
+               distortion=[0.0, 0.0, 0.0, 0.0])  # fmt: skip
+    return replace(rig, cameras=(c1, c2))
+
+
+@cache
+def views_of(rig: Rig, surface: Surface, sign: int = 1, *, std: float = STD_RAD) -> TwoViews:
+    """Return what the cameras see, with a calibration of C2 that is wrong by 0.28 px."""
+    assert rig.projector is not None
+    rng = np.random.default_rng(SEED)
+    c1, c2 = rig.cameras
+    phases1, phases2 = (phase_map(c, rig.projector, surface, n_classes=1, std=std, rng=rng)
+                        for c in (c1, c2))  # fmt: skip
+    return TwoViews(camera1=c1, camera2=turned(c2, "y", sign * TURNED_DEG),
+                    phases1=phases1, phases2=phases2)  # fmt: skip
+
+
+def choose(rig: Rig, views: TwoViews, *, search: bool = True, bias: CalibrationBias | None = None
+           ) -> ChosenOrders:  # fmt: skip
+    assert rig.projector is not None
+    assert rig.volume is not None
+    return choose_orders(views, rig.projector, rig.volume, search=search, bias=bias)
+
+
+@cache
+def solved(surface: Surface, sign: int) -> ChosenOrders:
+    rig = nearly_symmetric()
+    return choose(rig, views_of(rig, surface, sign))
+
+
+def task_of(rig: Rig, views: TwoViews, *, stride: tuple[int, int] | None = None) -> Task:
+    assert rig.projector is not None
+    assert rig.volume is not None
+    stride = coarse_stride(views.phases1.phase) if stride is None else stride
+    return Task(views, rig.projector, rig.volume, 36.0, together=True, stride=stride)
+
+
+def turns_off(rig: Rig, views: TwoViews, surface: Surface, order: NDArray[np.int32]) -> Floats:
+    """Return how many periods orders are off; a noisy phase near its wrap is no error."""
+    assert rig.projector is not None
+    turns = true_turns(rig.cameras[0], rig.projector, surface, grid_of(rig.cameras[0]))
+    own = views.phases1.phase / (2 * np.pi)
+    return np.where(order == NO_ORDER, np.nan, np.rint(order + own - turns))
+
+
+# --- what a scan decides ---------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_structure_tells_orders_and_bias(sign: int) -> None:
+    rig, result = nearly_symmetric(), solved(SCENE, sign)
+    views, seen = views_of(rig, SCENE, sign), visible(rig, SCENE)
+    good, off = (
+        result.phases.rejection == 0,
+        turns_off(rig, views, SCENE, result.phases.order_class),
+    )
+    assert seen.sum() > 12_000
+    assert good[seen].mean() > 0.995
+    assert not off[good & seen].any()
+    assert (result.probability[good] >= 0.9).all()
+    # Where the calibration expects the points, less where C2 sees them.
+    c1, c2 = rig.cameras
+    points, depth, _ = seen_points(c1, grid_of(c1), SCENE)
+    missed = cv_project(views.camera2, points[seen]) - cv_project(c2, points[seen])
+    found = result.bias.displacement(grid_of(c1)[seen], depth[seen])
+    assert np.abs(missed[:, 0]).min() > 0.25
+    assert np.abs(found[:, 0] - missed[:, 0]).max() < 0.06  # vertical fringes: nearly x alone
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_without_search_the_orders_are_others(sign: int) -> None:
+    """One start, without a bias: it settles on what lies nearest, or on nothing."""
+    rig = nearly_symmetric()
+    views, seen = views_of(rig, SCENE, sign), visible(rig, SCENE)
+    result = choose(rig, views, search=False)
+    good, off = (
+        result.phases.rejection == 0,
+        turns_off(rig, views, SCENE, result.phases.order_class),
+    )
+    assert (good & (off == 0))[seen].mean() < 0.2
+    assert result.rival_shift == 0
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_an_isolated_plane_is_left_open(sign: int) -> None:
+    rig, result = nearly_symmetric(), solved(PLANE, sign)
+    seen = visible(rig, PLANE)
+    good = result.phases.rejection == 0
+    off = turns_off(rig, views_of(rig, PLANE, sign), PLANE, result.phases.order_class)
+    assert not (good & (off != 0)).any()  # never a wrong plane
+    assert good[seen].mean() < 0.05
+    assert ((result.phases.rejection & Rejection.AMBIGUOUS) > 0)[seen].mean() > 0.95
+    assert result.rival_shift == 1
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_learnt_bias_decides_the_plane(sign: int) -> None:
+    rig, seen = nearly_symmetric(), visible(nearly_symmetric(), PLANE)
+    views, bias = views_of(rig, PLANE, sign), solved(SCENE, sign).bias
+    result = choose(rig, views, bias=bias)
+    good, off = (
+        result.phases.rejection == 0,
+        turns_off(rig, views, PLANE, result.phases.order_class),
+    )
+    assert good[seen].mean() > 0.995
+    assert not off[good].any()
+    assert result.bias is bias
+    assert result.rival_shift == 0
+    # The bias of the camera turned the other way tells other orders.
+    wrong = choose(rig, views, bias=solved(SCENE, -sign).bias)
+    off = turns_off(rig, views, PLANE, wrong.phases.order_class)
+    assert ((wrong.phases.rejection == 0) & (off == 0))[seen].mean() < 0.05
+
+
+def test_a_bias_that_changes_sign_is_found() -> None:
+    """Turned about its axis C2 errs to one side above and to the other below."""
+    rig = small_rig(projector_azimuth_deg=-3.0)
+    assert rig.projector is not None
+    c2 = rig.cameras[1]
+    views = views_of(rig, SCENE)
+    views = replace(views, camera2=turned(c2, "z", 0.3))
+    result, seen = choose(rig, views), visible(rig, SCENE)
+    good, off = (
+        result.phases.rejection == 0,
+        turns_off(rig, views, SCENE, result.phases.order_class),
+    )
+    assert good[seen].mean() > 0.995
+    assert not off[good & seen].any()
+
+
+def test_energy_counts_residuals_by_patches_and_the_size_of_the_bias() -> None:
+    rig = nearly_symmetric()
+    task = task_of(rig, views_of(rig, PLANE))
+    found = rivals([task])
+    assert found is not None
+    assert len(found.solutions) > 1
+    prior = 0.25 * np.array([1.0] * 6 + [2 * task.frame.scale[2] / task.frame.middle[2]] * 3)
+    n_alike = 256 / (task.grid[0].step * task.grid[1].step)
+    for solution in found.solutions:
+        cost = task.decide(solution.bias, scatter_px=0.08).cost
+        size = solution.bias.coefficients_px / prior
+        expected = np.minimum(cost / 2, 1.2).sum() / n_alike + (size**2).sum() / 2
+        assert (size**2).sum() / 2 > 0.1
+        assert solution.energy == pytest.approx(expected, rel=0.02)  # a plane has no edges
+
+
+def test_the_border_of_c2_is_no_evidence() -> None:
+    """The same where C2 sees less than C1: another order moves points into its image, or out."""
+    rig, low = small_rig(projector_azimuth_deg=-1.0), Surface(radius_mm=0.0)
+    views = views_of(rig, low)
+    result = choose(rig, views)
+    off = turns_off(rig, views, low, result.phases.order_class)
+    assert not ((result.phases.rejection == 0) & (off != 0)).any()
+
+
+def test_two_scans_have_one_bias() -> None:
+    """What the plane leaves open the scene decides; their order plays no part."""
+    rig = nearly_symmetric()
+    scene, plane = (task_of(rig, views_of(rig, s)) for s in (SCENE, PLANE))
+    both, turned_round = rivals([plane, scene]), rivals([scene, plane])
+    assert both is not None
+    assert turned_round is not None
+    assert both.weights[0] > 0.99
+    assert len(both.solutions[0].orders) == 2
+    for number, (task, surface) in enumerate([(plane, PLANE), (scene, SCENE)]):
+        order = np.full(task.valid.shape, NO_ORDER, np.int32)
+        order[task.valid] = both.solutions[0].orders[number]
+        full = np.full(rig.cameras[0].shape, NO_ORDER, np.int32)
+        full[task.grid] = order
+        seen = visible(rig, surface) & (full != NO_ORDER)
+        assert seen.sum() > 2000
+        off = turns_off(rig, views_of(rig, surface), surface, full)
+        assert not off[seen].any()
+    pixels, depths = plane.pixels, np.full(len(plane.pixels), 335.0)
+    np.testing.assert_allclose(
+        both.best.displacement(pixels, depths), turned_round.best.displacement(pixels, depths),
+        atol=0.02,
+    )  # fmt: skip
+
+
+def test_nothing_clear_tells_nothing() -> None:
+    rig = nearly_symmetric()
+    views = views_of(rig, PLANE)
+    left_out = np.full(views.phases1.rejection.shape, np.uint16(Rejection.LOW_MODULATION))
+    left_out[60:80, 60:100] = 0  # 800 of the 2000 pixels it takes
+    few = replace(views, phases1=views.phases1.rejecting(left_out))
+    assert rivals([task_of(rig, few)]) is None
+    result = choose(rig, few)
+    assert not result.bias.displacement([[80.0, 64.0]], [335.0]).any()
+    assert result.bias.scatter_px == 0.3
+
+
+def test_nothing_decoded_tells_nothing() -> None:
+    rig = nearly_symmetric()
+    views = views_of(rig, PLANE)
+    dark = np.full(views.phases1.rejection.shape, np.uint16(Rejection.LOW_MODULATION))
+    dark_views = replace(views, phases1=views.phases1.rejecting(dark))
+    assert (choose(rig, dark_views).phases.rejection > 0).all()
+
+
+# --- by hand ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("rise", "stride"),
+    [
+        ((0.0, 0.0), (4, 4)),
+        ((0.37, -0.37), (4, 4)),  # 4 * 0.37 < 1.5
+        ((0.4, 0.1), (3, 4)),
+        ((-0.49, 0.7), (3, 2)),
+        ((0.51, 0.8), (2, 1)),
+        ((3.0, -0.74), (1, 2)),
+        ((2 * np.pi - 0.4, 0.0), (3, 4)),  # it wraps: a fall of 0.4
+    ],
+)
+def test_stride_along_ramps(rise: tuple[float, float], stride: tuple[int, int]) -> None:
+    rows, cols = np.indices((40, 50))
+    phase = np.mod(rise[0] * rows + rise[1] * cols, 2 * np.pi).astype(np.float32)
+    assert coarse_stride(phase) == stride
+    hidden = np.random.default_rng(0).random(phase.shape) < 0.3
+    assert coarse_stride(np.where(hidden, np.nan, phase).astype(np.float32)) == stride
+
+
+def test_stride_is_that_of_the_steep_part() -> None:
+    """Three quarters are to be continued: of two fifths steep and three flat the steep count."""
+    steps = np.where(np.arange(50) < 20, 0.7, 0.1)
+    phase = np.mod(np.cumsum(steps), 2 * np.pi) * np.ones((30, 1))
+    assert coarse_stride(phase.astype(np.float32)) == (4, 2)
+    steps[10:20] = 0.1
+    phase = np.mod(np.cumsum(steps), 2 * np.pi) * np.ones((30, 1))
+    assert coarse_stride(phase.astype(np.float32)) == (4, 4)
+
+
+def test_stride_of_nothing_is_one() -> None:
+    assert coarse_stride(np.full((20, 20), np.nan, np.float32)) == (1, 1)
+
+
+def made_up(task: Task, shares: list[list[int]], weights: list[float]) -> Rivals:
+    """Return solutions whose orders differ from the first's by the given numbers, repeated."""
+    n = len(task.pixels)
+    solutions = tuple(
+        Solution(
+            task.frame.constant((0.1 * i, 0.0), scatter_px=0.1),
+            (np.resize(np.array(shifts, np.int32), n),),
+            float(i),
+        )
+        for i, shifts in enumerate(shares)
+    )
+    return Rivals((task,), solutions, np.array(weights))
+
+
+def test_agreement_is_the_weight_of_the_same_order() -> None:
+    rig = nearly_symmetric()
+    views = views_of(rig, PLANE)
+    hole = np.zeros(views.phases1.rejection.shape, np.uint16)
+    hole[40:80] = Rejection.LOW_MODULATION
+    views = replace(views, phases1=views.phases1.rejecting(hole))
+    task = task_of(rig, views, stride=(3, 2))
+    n = len(task.pixels)
+    rival = made_up(task, [[0], [0, 1, 0, 2], [0, 0, 3, 3]], [0.6, 0.3, 0.1])
+    shape = rig.cameras[0].shape
+    found = rival.agreement(shape)
+    assert found.shape == shape
+    expected = np.resize([1.0, 0.7, 0.9, 0.6], n)
+    at = task.pixels.astype(int)
+    np.testing.assert_allclose(found[at[:, 1], at[:, 0]], expected)
+    # Each pixel of the coarse grid stands for those from it to the next.
+    whole = np.ones(task.valid.shape)
+    whole[task.valid] = expected
+    for y, x in ((0, 0), (1, 1), (2, 1), (3, 1), (127, 159), (100, 33), (50, 50)):
+        assert found[y, x] == pytest.approx(whole[y // 3, x // 2])
+    assert rival.best is rival.solutions[0].bias
+
+
+def test_agreement_is_that_of_the_numbered_scan() -> None:
+    rig = nearly_symmetric()
+    tasks = tuple(task_of(rig, views_of(rig, s), stride=(4, 4)) for s in (PLANE, SCENE))
+    frame = tasks[0].frame
+    same = [np.full(len(t.pixels), 20, np.int32) for t in tasks]
+    pair = (
+        Solution(frame.constant((0.0, 0.0), scatter_px=0.1), (same[0], same[1]), 0.0),
+        Solution(frame.constant((0.4, 0.0), scatter_px=0.1), (same[0], same[1] + 1), 1.0),
+    )
+    rival = Rivals(tasks, pair, np.array([0.8, 0.2]))
+    shape = rig.cameras[0].shape
+    np.testing.assert_allclose(rival.agreement(shape, number=0), 1.0)
+    there = tasks[1].pixels.astype(int)
+    second = rival.agreement(shape, number=1)[there[:, 1], there[:, 0]]
+    np.testing.assert_allclose(second, 0.8)
+
+
+@pytest.mark.parametrize(
+    ("second", "shift"),
+    [([2], 2), ([0, 0, 0, -3], 3), ([1, 1, 5], 1), ([0], 0), ([NO_ORDER], 0), ([NO_ORDER, 4], 4)],
+)
+def test_shift_is_that_of_the_second_solution(second: list[int], shift: int) -> None:
+    rig = nearly_symmetric()
+    task = task_of(rig, views_of(rig, PLANE), stride=(4, 4))
+    assert made_up(task, [[0], second, [9]], [0.5, 0.3, 0.2]).shift() == shift
+
+
+def test_one_solution_has_no_rival() -> None:
+    rig = nearly_symmetric()
+    task = task_of(rig, views_of(rig, PLANE), stride=(4, 4))
+    rival = made_up(task, [[0]], [1.0])
+    assert rival.shift() == 0
+    assert (rival.agreement(rig.cameras[0].shape) == 1).all()
+
+
+@pytest.mark.parametrize(("n_same", "resembles"), [(9, False), (1, True)])
+def test_solutions_resemble_by_their_orders(n_same: int, resembles: bool) -> None:
+    rig = nearly_symmetric()
+    task = task_of(rig, views_of(rig, PLANE), stride=(4, 4))
+    n = len(task.pixels)
+    order = np.zeros(n, np.int32)
+    other = (np.arange(n) < 0.001 * n_same * n).astype(np.int32)
+    bias = [task.frame.constant((c, 0.0), scatter_px=0.1) for c in (0.0, 5.0)]
+    first, second = Solution(bias[0], (order,), 0.0), Solution(bias[1], (other,), 9.0)
+    assert first.resembles(second) == resembles
