@@ -181,7 +181,7 @@ def test_the_size_of_the_bias_is_told() -> None:
 
 
 def test_the_bias_is_looked_at_where_it_holds() -> None:
-    """Rising to 0.6 px at the border of the image: the mean of x^2 in the middles of five strips."""
+    """Rising to 0.6 px at the border: the mean of x^2 in the middles of five strips."""
     coefficients = np.zeros((2, 9))
     coefficients[0, 1] = 0.6
     (finding,) = check_bias(replace(constant(0, 0), coefficients_px=coefficients), None)
