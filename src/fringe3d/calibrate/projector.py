@@ -34,7 +34,7 @@ from fringe3d.patterns import across
 
 Floats = NDArray[np.float64]
 
-SAMPLE = 12_000
+SAMPLE = 20_000
 """Equations of the fit; more add hardly anything, for errors of neighbours agree."""
 
 MIN_POINTS = 200

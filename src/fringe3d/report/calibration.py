@@ -34,6 +34,8 @@ SMOOTH_PX = 8
 MAP = "RdBu_r"
 BACKGROUND = "#d9dce1"
 BARS = 81
+ROW_INCHES = 4.3
+MAX_NAME = 36
 
 
 def projector_record(
@@ -229,22 +231,28 @@ def draw_residuals(
     parts = [(scan, place) for scan in scans for place in range(len(scan.angles))]
     residuals = np.concatenate([r.ravel() for r in fitted.residual_px])
     limit = _scale(residuals)
-    figure = Figure(figsize=(16.5, 0.9 + 4.3 * len(parts)), dpi=100, layout="constrained")
+    high, wide = np.max([np.ptp(scan.pixels, axis=0) for scan in scans], axis=0) + 1
+    aspect = float(np.clip(wide / high, 0.6, 1.6))
+    width = ROW_INCHES * (2 * aspect + 1) + 1.5
+    figure = Figure(figsize=(width, 0.9 + ROW_INCHES * len(parts)), dpi=100, layout="constrained")
     figure.suptitle(title, fontsize=12, x=0.01, ha="left")
-    axes = figure.subplots(len(parts), 3, squeeze=False, width_ratios=[1.2, 1.2, 0.9])
+    axes = figure.subplots(len(parts), 3, squeeze=False, width_ratios=[aspect, aspect, 0.9])
     by_scan = dict(zip([id(scan) for scan in scans], fitted.residual_px, strict=True))
     smooth_limit = _scale(
         np.concatenate([_means(_map(s, by_scan[id(s)][:, p])).ravel() for s, p in parts])
     )
     for row, (scan, place) in zip(axes, parts, strict=True):
         residual = by_scan[id(scan)][:, place]
-        name = f"{scan.name}, {axis_name(scan.angles[place])}"
+        name = f"{_short(scan.name)}, {axis_name(scan.angles[place])}"
         picture = _map(scan, residual)
-        _draw_map(row[0], picture, limit, f"{name}: residual")
-        _draw_map(row[1], _means(picture), smooth_limit,
-                  f"{name}: mean of {SMOOTH_PX} x {SMOOTH_PX} pixels")  # fmt: skip
+        _draw_map(row[0], picture, limit, name)
+        _draw_map(row[1], _means(picture), smooth_limit, f"mean of {SMOOTH_PX} x {SMOOTH_PX} px")
         _draw_histogram(row[2], residual[np.isfinite(residual)], limit)
     figure.savefig(path, format="png")
+
+
+def _short(name: str) -> str:
+    return name if len(name) <= MAX_NAME else f"...{name[3 - MAX_NAME :]}"
 
 
 def _scale(residual: Floats) -> float:
