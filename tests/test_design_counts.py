@@ -7,17 +7,16 @@ that `projectPoints` puts there, and so are its images in the other devices.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
 
 import cv2
-import numba
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.optimize import root
 
+from changed_rigs import moved_rig
+from cv_lens import cv_project
 from fringe3d.design.counts import (
     angle_without_code,
     periods_in_camera,
@@ -30,12 +29,14 @@ from fringe3d.design.paper import shortest_period_exact
 from fringe3d.design.reference import facing_direction, reference_of, with_depth
 from fringe3d.design.uncertainty import predict_uncertainty
 from fringe3d.errors import RigError
-from fringe3d.io.sketchfile import read_sketch
+from fringe3d.geometry import above, looking_at_origin
 from fringe3d.model import Device, MeasuringVolume, Rig, RigidTransform
 
 pytest.importorskip("embreex")
 
 from fringe3d.simulate import PRESETS
+
+pytestmark = pytest.mark.usefixtures("one_thread")
 
 Floats = NDArray[np.float64]
 
@@ -43,15 +44,6 @@ PERIOD = 16.0
 TOP, BOTTOM = 12.5, -12.5
 INNER = [(320, 250), (200, 180), (430, 330), (330, 420)]
 """Pixels (x, y) of `kolibri` whose rays enter by the top of the volume and leave by its bottom."""
-
-
-@pytest.fixture(scope="module", autouse=True)
-def one_thread() -> Iterator[None]:
-    """Do without threads: many small arrays, for which they cost more than they help."""
-    threads = numba.get_num_threads()
-    numba.set_num_threads(1)
-    yield
-    numba.set_num_threads(threads)
 
 
 @pytest.fixture(scope="module")
@@ -64,21 +56,11 @@ def periods(kolibri: Rig) -> Floats:
     return periods_on_projector(kolibri, period_px=PERIOD)
 
 
-def seen(device: Device, points: Floats) -> Floats:
-    """Return the pixels of points (n, 3) by OpenCV."""
-    pose = device.device_from_world
-    found, _ = cv2.projectPoints(
-        np.ascontiguousarray(points, np.float64), cv2.Rodrigues(pose.rotation)[0],
-        pose.translation.reshape(3, 1), device.camera_matrix, device.distortion,
-    )  # fmt: skip
-    return np.asarray(found, np.float64).reshape(-1, 2)
-
-
 def on_plane(camera: Device, pixel: tuple[int, int], z: float) -> Floats:
     """Return the point at a height that OpenCV puts into a pixel."""
 
     def miss(xy: Floats) -> Floats:
-        return np.asarray(seen(camera, np.array([[*xy, z]]))[0] - pixel)
+        return np.asarray(cv_project(camera, [*xy, z]) - pixel)
 
     solved = root(miss, np.zeros(2), tol=1e-12)
     assert solved.success
@@ -105,7 +87,7 @@ def test_periods_on_the_projector_are_those_of_opencv(kolibri: Rig, angle_deg: f
     assert kolibri.projector is not None
     for x, y in INNER:
         ends = np.stack([on_plane(kolibri.cameras[0], (x, y), z) for z in (TOP, BOTTOM)])
-        w = w_of(seen(kolibri.projector, ends), angle)
+        w = w_of(cv_project(kolibri.projector, ends), angle)
         assert counted[y, x] == pytest.approx(abs(w[1] - w[0]) / PERIOD, abs=1e-6)
 
 
@@ -118,7 +100,7 @@ def test_the_shape_of_the_volume_cuts_the_segments(kolibri: Rig, periods: Floats
     cut = [(120, 150), (585, 260), (70, 330), (500, 90), (250, 500)]
     for x, y in cut:
         points = on_ray(kolibri.cameras[0], (x, y))
-        w = w_of(seen(kolibri.projector, points[[0, -1]]))
+        w = w_of(cv_project(kolibri.projector, points[[0, -1]]))
         assert periods[y, x] == pytest.approx(abs(w[1] - w[0]) / PERIOD, abs=0.03)
         assert periods[y, x] < 3.9
     missed = [(5, 5), (635, 5), (5, 505), (635, 505)]
@@ -147,7 +129,7 @@ def test_what_the_projector_does_not_light_has_no_segment(kolibri: Rig, periods:
     assert (left[both] <= periods[both] + 1e-9).all()
     x, y = 200, 250
     lit = on_ray(kolibri.cameras[0], (x, y))
-    assert seen(kolibri.projector, lit)[:, 0].max() < 490
+    assert cv_project(kolibri.projector, lit)[:, 0].max() < 490
     assert left[y, x] == pytest.approx(periods[y, x], abs=1e-9)
     assert math.isnan(left[250, 560])
 
@@ -174,11 +156,11 @@ def test_periods_on_c2s_segment_are_those_of_a_plane_that_faces_the_rig(
     )
     for x, y in INNER[:2]:
         ray = on_ray(c1, (x, y))
-        curve = seen(c2, ray)
+        curve = cv_project(c2, ray)
         length = np.linalg.norm(np.diff(curve, axis=0), axis=1).sum()
         toward = ray[[0, -1]] - eye
         met = eye - (eye @ normal / (toward @ normal))[:, None] * toward
-        w = w_of(seen(kolibri.projector, met), angle)
+        w = w_of(cv_project(kolibri.projector, met), angle)
         assert counted.periods[y, x] == pytest.approx(abs(w[1] - w[0]) / PERIOD, abs=1e-6)
         # Four chords for a curve that bends by a fraction of a pixel.
         assert counted.length_px[y, x] == pytest.approx(length, rel=1e-4)
@@ -242,51 +224,32 @@ def test_the_guard_is_three_sigma_and_the_calibration() -> None:
     assert guard_periods(0.05, 0.4, 16.0) == pytest.approx(0.0488732, abs=1e-7)
 
 
-PAPER_SKETCH = """
-format = "fringe3d-sketch/1"
-[[devices]]
-name = "c1"
-role = "camera"
-size = [64, 48]
-field_mm = {field}
-distance_mm = 335.0
-tilt_deg = 0.0
-azimuth_deg = 0.0
-[[devices]]
-name = "c2"
-role = "camera"
-size = [640, 512]
-field_mm = 93.0
-distance_mm = 335.0
-tilt_deg = 27.0
-azimuth_deg = 90.0
-[[devices]]
-name = "projector"
-role = "projector"
-size = [1024, 768]
-pixel_um = 20.0
-focal_mm = 64.3
-distance_mm = 335.0
-tilt_deg = 13.6
-azimuth_deg = 90.0
-[volume]
-kind = "depth"
-depth_min_mm = 320.0
-depth_max_mm = 350.0
-"""
+def pinhole(name: str, size: tuple[int, int], focal_px: float, tilt_deg: float) -> Device:
+    """Return a device in the plane y = 0, 335 mm from the origin, at which it looks."""
+    width, height = size
+    return Device(
+        name=name,
+        role="projector" if name == "projector" else "camera",
+        n_rows=height,
+        n_cols=width,
+        focal_px=[focal_px, focal_px],
+        center_px=[(width - 1) / 2, (height - 1) / 2],
+        device_from_world=looking_at_origin(above(tilt_deg, 90.0, 335.0)),
+    )
 
 
-def paper_rig(tmp_path: Path, field: float = 60.0) -> Rig:
-    """Return pinholes in one plane with the paper's distances and angles."""
-    path = tmp_path / "paper.toml"
-    path.write_text(PAPER_SKETCH.format(field=field))
-    return read_sketch(path).rig
+def paper_rig(*, field_mm: float = 60.0) -> Rig:
+    """Return pinholes in one plane with the paper's distances and angles; C1 sees `field_mm`."""
+    c1 = pinhole("c1", (64, 48), 64 * 335.0 / field_mm, 0.0)
+    c2 = pinhole("c2", (640, 512), 640 * 335.0 / 93.0, 27.0)
+    projector = pinhole("projector", (1024, 768), 64.3 / 0.020, 13.6)
+    volume = MeasuringVolume.depth_slab(c1, depth_min_mm=320.0, depth_max_mm=350.0)
+    return Rig(cameras=(c1, c2), projector=projector, volume=volume)
 
 
-def test_the_papers_rig_needs_no_code_below_3_18_degrees(tmp_path: Path) -> None:
+def test_the_papers_rig_needs_no_code_below_3_18_degrees() -> None:
     """The closed form of equation (5), here by moving the projector until one period is left."""
-    rig = paper_rig(tmp_path)
-    free = angle_without_code(rig, period_px=PERIOD, principal_ray=True)
+    free = angle_without_code(paper_rig(), period_px=PERIOD, principal_ray=True)
     assert math.degrees(free) == pytest.approx(3.18, abs=0.005)
 
 
@@ -316,33 +279,18 @@ def test_a_moved_projector_keeps_distance_aim_and_plane(kolibri: Rig) -> None:
     rest = math.degrees(math.acos(to_camera @ to_old)) - 5.0
     assert math.degrees(math.acos(place @ to_old / 335.0)) == pytest.approx(rest, abs=1e-6)
     # The origin, at which it looks, stays at its pixel, and so does the epipolar direction.
-    pixels = [seen(d, np.zeros((1, 3)))[0] for d in (before, moved)]
+    pixels = [cv_project(d, np.zeros(3)) for d in (before, moved)]
     np.testing.assert_allclose(pixels[1], pixels[0], atol=1e-9)
-    toward = [seen(d, 5.0 * to_camera[None])[0] - p
+    toward = [cv_project(d, 5.0 * to_camera) - p
               for d, p in zip((before, moved), pixels, strict=True)]  # fmt: skip
     directions = [math.atan2(d[1], d[0]) for d in toward]
     # Distortion bends the short line by less than a hundredth of a degree.
     assert directions[1] == pytest.approx(directions[0], abs=2e-3)
 
 
-def in_another_world(rig: Rig) -> Rig:
-    """Return the same rig with a world frame that is turned and far away."""
-    turn = cv2.Rodrigues(np.array([0.4, -0.7, 1.1]))[0]
-    new_from_old = RigidTransform(rotation=turn, translation=[300.0, -150.0, 80.0])
-    assert rig.volume is not None
-    assert rig.projector is not None
-    normals = new_from_old.rotate(rig.volume.normals)
-    offsets = rig.volume.offsets_mm + normals @ new_from_old.translation
-    cameras, projector = (
-        [replace(d, device_from_world=d.device_from_world @ new_from_old.inverse()) for d in group]
-        for group in (rig.cameras, (rig.projector,))
-    )
-    volume = MeasuringVolume(normals=normals, offsets_mm=offsets)
-    return replace(rig, cameras=tuple(cameras), projector=projector[0], volume=volume)
-
-
 def test_nothing_depends_on_the_world_frame(kolibri: Rig) -> None:
-    moved = in_another_world(kolibri)
+    turn = cv2.Rodrigues(np.array([0.4, -0.7, 1.1]))[0]
+    moved = moved_rig(kolibri, RigidTransform(rotation=turn, translation=[300.0, -150.0, 80.0]))
     for angle in (0.0, 0.5):
         here, there = (
             periods_on_projector(rig, period_px=PERIOD, angle=angle, step=16)
@@ -379,9 +327,9 @@ def test_c1_and_projector_in_one_line_can_be_parted(kolibri: Rig) -> None:
     assert math.acos(place @ second) == pytest.approx(math.acos(second @ to_camera) - 0.1, abs=1e-9)
 
 
-def test_the_shortest_period_is_the_closed_form_of_pinholes(tmp_path: Path) -> None:
+def test_the_shortest_period_is_the_closed_form_of_pinholes() -> None:
     """C1 sees only 2 mm around the principal ray, where the closed form holds within 1 %."""
-    rig = paper_rig(tmp_path, field=2.0)
+    rig = paper_rig(field_mm=2.0)
     limit = math.radians(25.0)
     found = shortest_period(rig, period_px=PERIOD, max_slope=limit)
     focal_c2 = 640 * 335.0 / 93.0

@@ -9,13 +9,14 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-import cv2
 import numpy as np
 import pytest
 from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import brentq, root
 from scipy.spatial.transform import Rotation
 
+from changed_rigs import cut_rig, moved_rig
+from cv_lens import cv_points_at, cv_project, cv_rays
 from fringe3d.design.margin import ambiguity_margins
 from fringe3d.design.reference import facing_direction, reference_of
 from fringe3d.design.residual import (
@@ -29,7 +30,7 @@ from fringe3d.design.residual import (
 )
 from fringe3d.errors import RigError
 from fringe3d.geometry import above, looking_at_origin
-from fringe3d.model import Device, MeasuringVolume, Rig, RigidTransform
+from fringe3d.model import Device, Rig, RigidTransform
 
 pytest.importorskip("embreex")
 
@@ -64,20 +65,10 @@ def off_middle() -> Rig:
     return beside_c2()
 
 
-def project(device: Device, point: ArrayLike) -> Floats:
-    pose = device.device_from_world
-    found, _ = cv2.projectPoints(
-        np.ascontiguousarray(np.reshape(point, (-1, 3)), np.float64),
-        cv2.Rodrigues(pose.rotation)[0], pose.translation.reshape(3, 1), device.camera_matrix,
-        device.distortion,
-    )  # fmt: skip
-    return np.array(found, np.float64).reshape(2)
-
-
 def phase(rig: Rig, point: ArrayLike, angle: float) -> float:
     """Periods, from the definition of the fringes."""
     assert rig.projector is not None
-    u, v = project(rig.projector, point)
+    u, v = cv_project(rig.projector, point)
     return float((math.cos(angle) * (u + 0.5) + math.sin(angle) * (v + 0.5)) / PERIOD)
 
 
@@ -106,10 +97,10 @@ def found_residual(
     first = np.cross(normal, [1.0, 0.0, 0.0])
     first /= np.linalg.norm(first)
     second = np.cross(normal, first) / np.linalg.norm(normal)
-    pixel = project(c2, wrong) + np.array(displaced)
+    pixel = cv_project(c2, wrong) + np.array(displaced)
 
     def beside(place: Floats) -> Floats:
-        seen = project(c2, point + place[0] * first + place[1] * second)
+        seen = cv_project(c2, point + place[0] * first + place[1] * second)
         return np.asarray(seen - pixel, np.float64)
 
     a, b = root(beside, np.zeros(2), tol=1e-12).x
@@ -186,7 +177,7 @@ def test_wrong_points_lie_on_the_ray_and_have_the_phase_of_their_order(off_middl
     c1 = off_middle.cameras[0]
     for point, pair in zip(POINTS, wrong, strict=True):
         for j, place in zip((1, -2), pair, strict=True):
-            away = project(c1, place) - project(c1, point)
+            away = cv_project(c1, place) - cv_project(c1, point)
             assert np.abs(away).max() < 1e-6
             step = phase(off_middle, place, TURNED) - phase(off_middle, point, TURNED)
             assert step == pytest.approx(j, abs=1e-7)
@@ -240,7 +231,6 @@ def test_margins_of_single_pixels_are_those_of_brute_force(kolibri: Rig) -> None
         kolibri, period_px=PERIOD, slopes_deg=(0.0,), depths=(0.5,), step_px=128, quality=EXACT
     )
     facing = reference_of(kolibri).facing
-    origin = kolibri.cameras[0].center_world
     volume = kolibri.volume
     assert volume is not None
     checked = 0
@@ -248,10 +238,7 @@ def test_margins_of_single_pixels_are_those_of_brute_force(kolibri: Rig) -> None
         if not np.isfinite(margin):
             continue
         line = np.linspace(300, 370, 14001)
-        matrix, lens = kolibri.cameras[0].camera_matrix, kolibri.cameras[0].distortion
-        x, y = cv2.undistortPoints(place.reshape(1, 1, 2), matrix, lens).ravel()
-        forward = kolibri.cameras[0].device_from_world.rotation.T @ [x, y, 1.0]
-        forward /= np.linalg.norm(forward)
+        origin, forward = cv_rays(kolibri.cameras[0], place)
         depths = line[volume.contains(origin + line[:, None] * forward)]
         point = origin + (depths[0] + depths[-1]) / 2 * forward
         residuals = [0.5]
@@ -290,7 +277,7 @@ def random_surfaces(rig: Rig, n: int, slope_deg: float) -> tuple[Floats, Floats]
     points = rng.uniform([-40, -40, -12.5], [40, 40, 12.5], (n, 3))
     ok = rig.volume.contains(points)
     for device in rig.devices:
-        pixels = np.array([project(device, point) for point in points])
+        pixels = cv_project(device, points)
         ok &= (pixels > -0.5).all(axis=1) & (pixels < np.array(device.shape[::-1]) - 0.5).all(
             axis=1
         )
@@ -342,6 +329,50 @@ def test_without_a_wrong_order_in_the_volume_half_a_period_is_left() -> None:
     assert set(table.orders) == {1, -1}
 
 
+def periods_at(rig: Rig, pixels: Floats, z_mm: float) -> Floats:
+    """Return the phase of what C1 sees in pixels (n, 2) at a height, (n,) periods."""
+    assert rig.projector is not None
+    points = cv_points_at(rig.cameras[0], pixels, z_mm)
+    return (cv_project(rig.projector, points)[:, 0] + 0.5) / PERIOD
+
+
+@pytest.mark.parametrize("order", [1, -1])
+def test_wrong_points_count_up_to_a_part_of_the_depth_beyond_the_volume(
+    kolibri: Rig, order: int
+) -> None:
+    """Of 5 mm with 0.8 periods: order 1 lies 26 % beyond one end, order -1 25 % beyond the other.
+
+    Where exactly is solved for with OpenCV; 0.5 % of the depth on either side decide.
+    """
+    rig = cut_rig(kolibri, 2.5)
+    pixels = ambiguity_margins(rig, period_px=PERIOD, step_px=40).pixels.reshape(-1, 2)
+
+    def missing(beyond: float) -> float:
+        outer = 2.5 + 5.0 * beyond
+        up, down = (periods_at(rig, pixels, end * outer) - periods_at(rig, pixels, -end * 2.5)
+                    for end in (1, -1))  # fmt: skip
+        return float((order * np.array([up, down])).max() - 1)
+
+    just = brentq(missing, 0.0, 1.0)
+    assert 0.2 < just < 0.3
+    found = [ambiguity_margins(rig, period_px=PERIOD, step_px=40, beyond=just + more).orders
+             for more in (-0.005, 0.005)]  # fmt: skip
+    assert [order in orders for orders in found] == [False, True]
+
+
+def test_surfaces_seen_flatter_than_75_deg_do_not_count(kolibri: Rig) -> None:
+    """A sheet that leans by 45 deg towards C2, seen from C1 at 30 deg: 75 deg in the middle."""
+    rig = cut_rig(in_a_plane(kolibri, -30.0, 0.0, 30.0), 0.01)
+    found = ambiguity_margins(rig, period_px=PERIOD, slopes_deg=(45.0,), depths=(0.5,),
+                              n_azimuths=1, facing=[0.0, 0.0, 1.0], step_px=7)  # fmt: skip
+    towards = rig.cameras[0].center_world - cv_points_at(rig.cameras[0], found.pixels, 0.0)
+    lean = math.radians(45.0)
+    cosine = towards @ [math.sin(lean), 0.0, math.cos(lean)] / np.linalg.norm(towards, axis=-1)
+    expected = cosine > math.cos(math.radians(75.0))
+    assert 0.4 < expected.mean() < 0.6
+    np.testing.assert_array_equal(np.isfinite(found.margin[0]), expected)
+
+
 def test_a_calibration_twice_as_bad_halves_the_ratio(off_middle: Rig) -> None:
     ratios = [
         ambiguity_margins(off_middle, period_px=PERIOD, step_px=128,
@@ -355,18 +386,7 @@ def test_moving_the_world_changes_nothing(off_middle: Rig) -> None:
     turn = Rotation.from_rotvec([0.4, -0.8, 1.1]).as_matrix()
     there = RigidTransform(rotation=turn, translation=[30.0, -70.0, 500.0])
 
-    def moved(device: Device) -> Device:
-        return replace(device, device_from_world=device.device_from_world @ there.inverse())
-
-    assert off_middle.volume is not None
-    assert off_middle.projector is not None
-    normals = there.rotate(off_middle.volume.normals)
-    offsets = off_middle.volume.offsets_mm + normals @ there.translation
-    rig = Rig(
-        cameras=tuple(moved(camera) for camera in off_middle.cameras),
-        projector=moved(off_middle.projector),
-        volume=MeasuringVolume(normals=normals, offsets_mm=offsets),
-    )
+    rig = moved_rig(off_middle, there)
     here = ambiguity_margins(off_middle, period_px=PERIOD, step_px=128)
     away = ambiguity_margins(rig, period_px=PERIOD, step_px=128)
     np.testing.assert_allclose(away.margin, here.margin, atol=1e-6)

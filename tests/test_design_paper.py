@@ -11,6 +11,7 @@ import math
 import numpy as np
 import pytest
 
+from fringe3d.cli.console import Reporter
 from fringe3d.design.paper import (
     Depths,
     angle_for_one_period_exact,
@@ -23,6 +24,10 @@ from fringe3d.design.paper import (
     shortest_period_exact,
     shortest_period_printed,
 )
+
+pytest.importorskip("embreex")
+
+from fringe3d.cli import paper as experiment
 
 DEPTHS = Depths(depth_min_mm=320.0, depth_ref_mm=335.0, depth_max_mm=350.0)
 PERIOD_MM, FOCAL_P_MM = 16 * 0.020, 64.3
@@ -161,3 +166,29 @@ def test_the_exact_shortest_period_is_that_of_the_steepest_surface(
 def test_depths_out_of_order_are_refused(depths: tuple[float, float, float]) -> None:
     with pytest.raises(ValueError, match="expected 0 < depth_min_mm"):
         Depths(depth_min_mm=depths[0], depth_ref_mm=depths[1], depth_max_mm=depths[2])
+
+
+@pytest.mark.parametrize("quiet", [False, True])
+def test_the_experiment_tells_its_progress_in_a_log(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], quiet: bool
+) -> None:
+    """Standard error is no terminal here: a line for each scan, none if only figures are wanted."""
+    monkeypatch.setattr(experiment, "_work", lambda *_: [])
+    options = experiment.PaperOptions(
+        steps=(4,), objects=("plane", "teeth"), noise=0.01, calibration_error_px=0.05, seed=1,
+        camera_size=(320, 256), period_px=None, out=None, overwrite=False, jobs=1,
+    )  # fmt: skip
+    assert experiment._all_tried(options, Reporter(quiet=quiet)) == []
+    lines = capsys.readouterr().err.splitlines()
+    if quiet:
+        assert lines == []
+        return
+    assert lines[0] == "6 scans to simulate and measure, 1 at a time"
+    assert [line.rpartition(" (")[0] for line in lines[1:]] == [
+        "1/6 plane, rig kolibri",
+        "2/6 plane, rig kolibri-m5",
+        "3/6 plane on a table, rig kolibri",
+        "4/6 teeth, rig kolibri",
+        "5/6 teeth, rig kolibri-m5",
+        "6/6 teeth on a table, rig kolibri",
+    ]

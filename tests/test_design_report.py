@@ -11,32 +11,34 @@ from pathlib import Path
 from typing import Any
 
 import cv2
-import numba
 import numpy as np
 import pytest
 
+from fringe3d.cli import main
 from fringe3d.cli.console import Reporter
 from fringe3d.cli.designer import DesignOptions, run_design
+from fringe3d.cli.optimiser import Optimised
 from fringe3d.design import Assessment, assess, fringe_crossing
 from fringe3d.errors import Fringe3DError
 from fringe3d.io.rigfile import rig_text
 from fringe3d.io.sketchfile import read_sketch
-from fringe3d.model import Rig
-from fringe3d.report.design import WIDTH, findings, percent, record, summary
+from fringe3d.model import MeasuringVolume, Rig
+from fringe3d.report.design import WIDTH, markdown, summary
+from fringe3d.report.design_record import record
+from fringe3d.report.design_words import findings, percent, recommendation
+
+pytestmark = pytest.mark.usefixtures("one_thread")
 
 EXAMPLE = Path(__file__).parent.parent / "examples" / "sketches" / "kolibri.toml"
 
 
 @pytest.fixture(scope="module", autouse=True)
 def coarse_grids() -> Iterator[None]:
-    """Count on coarser grids than a user gets, where threads cost more than they help."""
-    threads = numba.get_num_threads()
-    numba.set_num_threads(1)
+    """Count on coarser grids than a user gets."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("fringe3d.design.assessment.COARSE_PIXELS", 500)
         patch.setattr("fringe3d.design.assessment.MARGIN_PIXELS", 60)
         yield
-    numba.set_num_threads(threads)
 
 
 @pytest.fixture(scope="module")
@@ -109,20 +111,124 @@ def test_the_summary_fits_a_terminal(assessed: Assessment) -> None:
         assert re.search(part, text), part
 
 
-def test_findings_recommend_images(assessed: Assessment) -> None:
-    text = "\n".join(findings(assessed))
-    assert "Reduced Gray code of 2 bits, 3 images as an over-determined code: 7 images" in text
-    assert "take 3 bits: 8 images" in text
-    assert "saves 1 image" in text
+def test_the_recommendation_stands_first(assessed: Assessment) -> None:
+    said = recommendation(assessed)
+    assert said[0].startswith(
+        "7 images: 4 phase steps and a reduced Gray code of 2 bits (3 images, over-determined); "
+    )
+    text = "\n".join(said)
+    assert "up to 40 % of a segment beyond the volume, take 3 bits: 8 images." in text
     assert "Fringes alone (4 images) do not suffice pixel by pixel" in text
+    assert "saves 1 image" in "\n".join(findings(assessed))
+    lines = summary(assessed, name="small").splitlines()
+    assert lines[0].startswith("small: 7 images: 4 phase steps and a reduced Gray code")
+    options = "--size 1024x768 --period 16 --steps 4 --gray-bits 2 --out patterns"
+    assert f"  fringe3d patterns {options}" in lines[:12]
+    report = markdown(assessed, name="small", command="", pictures=(), advice="Four do.")
+    assert report.startswith(f"# Design of small\n\n**{said[0]}**\n\n- Where a table")
+    assert report.index("- With the projector elsewhere: Four do.") < report.index("##")
+
+
+def test_the_images_to_project_are_as_many_as_recommended(
+    rig: Rig, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for number, a in enumerate(
+        (
+            assess(rig, period_px=16.0),
+            assess(rig, period_px=80.0),
+            assess(rig, period_px=16.0, angle=0.3),
+            assess(rig, period_px=16.0, beyond=0.4),
+            assess(rig, period_px=250.0, beyond=0.4),
+        )
+    ):
+        command = record(a, name="x", command="")["patterns_command"].split()
+        assert command[0] == "fringe3d"
+        main([*command[1:-1], str(tmp_path / str(number))])
+        told = capsys.readouterr().out
+        assert told.startswith(f"{record(a, name='x', command='')['images']} images of 1024 x 768")
+
+
+def test_the_columns_of_the_equations_are_explained(assessed: Assessment) -> None:
+    text = " ".join(summary(assessed, name="small").split())
+    assert "exact: its closed form on C1's principal ray, for fringes square to" in text
+    assert "all pixels: the worst pixel of the rig as it is, in (5) with a guard" in text
+    # One figure for the principal ray, 3.40, that of the table.
+    assert "3.42" not in text
+    assert "principal_ray" not in json.dumps(record(assessed, name="x", command=""))
+
+
+def test_surfaces_beyond_the_volume_are_counted_if_asked(rig: Rig, sketch: Path) -> None:
+    """Everything follows: the code, the angle without one, the record."""
+    plain, wide = assess(rig, period_px=16.0), assess(rig, period_px=16.0, beyond=0.4)
+    assert (plain.bits, wide.bits) == (2, 3)
+    assert wide.needs.twins_beyond == plain.needs.twins_beyond  # 0.4 is what both count with
+    said = recommendation(wide)
+    assert said[0] == (
+        "8 images: 4 phase steps and a reduced Gray code of 3 bits (4 images, over-determined)."
+    )
+    assert said[1].startswith("Surfaces up to 40 % of a segment beyond the volume, such as a table")
+    assert plain.place is not None
+    assert wide.place is not None
+    # Segments that hold 1.4 times the periods leave 1 / 1.4 of the angle, but for perspective.
+    assert wide.place.free_angle / plain.place.free_angle == pytest.approx(1 / 1.4, rel=0.05)
+    _, found = run(sketch, beyond=0.4)
+    assert (found["beyond"], found["images"]) == (0.4, 8)
+    assert assess(rig, period_px=16.0, beyond=0.0).bits == 2
+
+
+def test_the_command_hands_beyond_on(sketch: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    main(["design", str(sketch), "--beyond", "0.4", "--json"])
+    found = json.loads(capsys.readouterr().out)
+    assert (found["beyond"], found["images"], found["optimised"]) == (0.4, 8, None)
+    with pytest.raises(SystemExit):
+        main(["design", str(sketch), "--beyond", "-0.1"])
+    assert "at least 0" in capsys.readouterr().err
+
+
+def test_what_the_optimiser_advises_stands_with_the_recommendation(
+    sketch: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: dict[str, Any] = {}
+
+    def optimised(_rig: Rig, **options: Any) -> Optimised:
+        asked.update(options)
+        return Optimised(advice="four do.", text="0 given", record={"recommended": None})
+
+    monkeypatch.setattr("fringe3d.cli.optimiser.run_optimise", optimised)
+    text, found = run(sketch, optimise=True, beyond=0.3, out=tmp_path / "out")
+    assert asked["beyond"] == 0.3
+    lines = text.splitlines()
+    assert lines.index("- With the projector elsewhere: four do.") < lines.index("")
+    assert "0 given" in lines
+    assert found["optimised"] == {"recommended": None}
+    report = (tmp_path / "out" / "design.md").read_text(encoding="utf-8")
+    assert "## With the projector elsewhere\n\n```\n0 given\n```" in report
+
+
+def test_the_last_row_and_column_are_counted(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
+    """On a coarse grid, too, the longest segment is found to lie in a corner of the image."""
+    camera = rig.cameras[0]
+    small = replace(camera, n_rows=40, n_cols=50, center_px=camera.center_px - [15.0, 12.0])
+    flat = replace(rig, cameras=(small, *rig.cameras[1:]),
+                   volume=MeasuringVolume.box([-80, -80, -2], [80, 80, 2]))  # fmt: skip
+    whole = assess(flat, period_px=16.0)
+    monkeypatch.setattr("fringe3d.design.assessment.MAX_PIXELS", 40)
+    coarse = assess(flat, period_px=16.0)
+    assert (whole.step, coarse.step) == (1, 8)
+    assert coarse.needs.max_periods == whole.needs.max_periods
+    assert coarse.camera_needs is not None
+    assert whole.camera_needs is not None
+    assert coarse.camera_needs.max_periods == whole.camera_needs.max_periods
 
 
 def test_a_segment_below_a_period_needs_no_code(rig: Rig) -> None:
     wide = assess(rig, period_px=80.0)
-    text = findings(wide)[0]
-    assert text == "No Gray code: 4 images, for every segment is shorter than a period (M5). " + (
-        "Where a table or a wall is seen beyond the volume, take 1 bit: 6 images."
-    )
+    assert recommendation(wide)[:2] == [
+        "4 images: 4 phase steps and no Gray code, for every segment is shorter than a period "
+        "(M5).",
+        "Where a table or a wall is seen up to 40 % of a segment beyond the volume, take 1 bit: 6 "
+        "images.",
+    ]
 
 
 def test_fringes_along_the_epipolar_lines_are_told(rig: Rig) -> None:
@@ -134,8 +240,8 @@ def test_fringes_along_the_epipolar_lines_are_told(rig: Rig) -> None:
         assert math.degrees(crossing) == pytest.approx(90.0 - angle_deg, abs=1e-4)
         assert math.degrees(square) == pytest.approx(0.0, abs=1e-4)
     flat = assess(rig, period_px=16.0, angle=math.radians(89.0))
-    assert "nearly follow the epipolar lines (1 deg between them)" in findings(flat)[0]
-    assert "Turn them to 0 deg" in findings(flat)[0]
+    assert "nearly follow the epipolar lines (1 deg between them)" in recommendation(flat)[0]
+    assert "Turn them to 0 deg" in recommendation(flat)[0]
 
 
 def test_other_rigs_get_what_they_allow(rig: Rig) -> None:

@@ -142,7 +142,16 @@ def test_a_rig_file_is_read_as_well(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("field_mm = 93.0", "fieldmm = 93.0", "Did you mean 'field_mm'"),
+        ("field_mm = 93.0", "fieldmm = 93.0",
+         "unknown key 'devices[0].fieldmm'. Did you mean 'field_mm'?"),
+        ("diameter_mm", "diametre_mm",
+         "unknown key 'volume.diametre_mm'. Did you mean 'diameter_mm'?"),
+        ('kind = "cylinder"', 'kind = "box"\nsize_mm = [1.0, 2.0, 3.0]',
+         "unknown key 'volume.diameter_mm'. The keys of the kind 'box': kind, size_mm"),
+        ("steps = 4", "field_mm = 4",
+         "unknown key 'fringes.field_mm'. The keys of the fringes: angle_deg, period_px, steps"),
+        ("[volume]", "[volumes]", "unknown key 'volumes'. Did you mean 'volume'?"),
+        ('kind = "cylinder"', 'kind = ["box"]', "expected one of the kinds"),
         ("tilt_deg = 27.0\n", "", "either distance_mm, tilt_deg and azimuth_deg, or position_mm, "
          "found only a part"),
         ("pixel_um = 20.0", "", "either pixel_um and focal_mm, or field_mm, found only a part"),

@@ -10,11 +10,12 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 
-import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from changed_rigs import cut_rig
+from cv_lens import cv_points_at, cv_project
 from fringe3d.design.uncertainty import (
     phase_gradient,
     phase_noise,
@@ -22,7 +23,7 @@ from fringe3d.design.uncertainty import (
     predict_uncertainty,
 )
 from fringe3d.errors import RigError
-from fringe3d.model import Device, MeasuringVolume, Rig
+from fringe3d.model import MeasuringVolume, Rig
 
 pytest.importorskip("embreex")
 
@@ -43,18 +44,9 @@ def kolibri() -> Rig:
     return PRESETS["kolibri"]((640, 512)).rig
 
 
-def seen(device: Device, points: Floats) -> Floats:
-    pose = device.device_from_world
-    found, _ = cv2.projectPoints(
-        np.ascontiguousarray(points, np.float64), cv2.Rodrigues(pose.rotation)[0],
-        pose.translation.reshape(3, 1), device.camera_matrix, device.distortion,
-    )  # fmt: skip
-    return np.asarray(found, np.float64).reshape(-1, 2)
-
-
 def phase(rig: Rig, points: Floats, angle: float) -> Floats:
     assert rig.projector is not None
-    w = (seen(rig.projector, points) + 0.5) @ [math.cos(angle), math.sin(angle)]
+    w = (cv_project(rig.projector, points) + 0.5) @ [math.cos(angle), math.sin(angle)]
     return np.asarray(2 * math.pi / PERIOD * w)
 
 
@@ -103,7 +95,7 @@ def test_two_cameras_scatter_as_predicted(
 
     def difference(t: Floats) -> Floats:
         moved = points + t[:, None] * along
-        col, row = seen(kolibri.cameras[1], moved).T
+        col, row = cv_project(kolibri.cameras[1], moved).T
         x, y = np.floor(col).astype(int), np.floor(row).astype(int)
         fx, fy = col - x, row - y
         noise = (noise2[y, x] * (1 - fx) + noise2[y, x + 1] * fx) * (1 - fy)
@@ -138,7 +130,7 @@ def test_without_a_projector_the_period_in_c2_decides(kolibri: Rig) -> None:
     points = plane(np.random.default_rng(2), leaning(0.0, 0.0))[:50]
     along = points - stereo.cameras[0].center_world
     along /= np.linalg.norm(along, axis=1, keepdims=True)
-    moved, here = (seen(stereo.cameras[1], points + t * along) for t in (0.01, 0.0))
+    moved, here = (cv_project(stereo.cameras[1], points + t * along) for t in (0.01, 0.0))
     speed = np.linalg.norm(moved - here, axis=1) / 0.01
     expected = math.sqrt(13 / 9) * 0.02 * 11.0 / (2 * math.pi) / speed
     found = point_sigma(stereo, points, period_px=11.0, sigma_phase=0.02)
@@ -190,6 +182,23 @@ def test_the_map_covers_what_all_devices_see(kolibri: Rig) -> None:
     assert found.sigma_mm[16, 20] == pytest.approx(float(here), rel=0.01)
     twice = predict_uncertainty(kolibri, period_px=PERIOD, sigma_phase=2 * SIGMA, step=16)
     assert twice.median_mm == pytest.approx(2 * found.median_mm, rel=1e-12)
+
+
+def test_the_quantiles_are_those_of_points_all_over_the_volume(kolibri: Rig) -> None:
+    """Eight centimetres deep, so that depth makes all the difference: 5.3 to 8.5 um."""
+    rig = cut_rig(kolibri, 40.0)
+    x, y = np.meshgrid(np.arange(0, 160, 16), np.arange(0, 128, 16))
+    pixels = np.stack([x, y], axis=-1)
+    top, bottom = (cv_points_at(rig.cameras[0], pixels, z) for z in (40.0, -40.0))
+    part = np.random.default_rng(4).random((250, *x.shape, 1))  # 20,000 points
+    sigma = point_sigma(rig, top + part * (bottom - top), period_px=PERIOD, sigma_phase=SIGMA)
+    low, median, high = np.quantile(sigma, [0.05, 0.5, 0.95])
+    assert high > 1.5 * low
+    found = predict_uncertainty(rig, period_px=PERIOD, sigma_phase=SIGMA, step=16)
+    assert found.median_mm == pytest.approx(median, rel=0.01)
+    # Of five places on each segment the outermost ends a tenth of it before its end: 2 %.
+    assert found.low_mm == pytest.approx(low, rel=0.025)
+    assert found.high_mm == pytest.approx(high, rel=0.025)
 
 
 def test_kolibri_reaches_3_um_with_16_phases_and_1_percent_noise(kolibri: Rig) -> None:

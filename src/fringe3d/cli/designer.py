@@ -16,7 +16,8 @@ from fringe3d.design import Assessment, Quality, assess, with_depth
 from fringe3d.errors import Fringe3DError, MethodError
 from fringe3d.io.atomic import new_folder, require_writable
 from fringe3d.io.sketchfile import Sketch, read_sketch
-from fringe3d.report.design import markdown, record, summary
+from fringe3d.report.design import markdown, summary
+from fringe3d.report.design_record import record
 
 PERIOD_PX = 16.0
 STEPS = 4
@@ -36,6 +37,7 @@ class DesignOptions:
     noise: float = 0.01
     calibration_px: float = 0.1
     camera_period_px: float | None = None
+    beyond: float | None = None
     out: Path | None = None
     optimise: bool = False
     overwrite: bool = False
@@ -63,6 +65,7 @@ def run_design(options: DesignOptions, reporter: Reporter, /) -> tuple[str, dict
             angle=angle,
             quality=quality,
             camera_period_px=options.camera_period_px,
+            beyond=options.beyond,
             stage=lambda stage: reporter.stage(stage, of=STAGES),
         )
     except Fringe3DError:
@@ -72,27 +75,32 @@ def run_design(options: DesignOptions, reporter: Reporter, /) -> tuple[str, dict
     command = shlex.join(["fringe3d", *sys.argv[1:]])
     found = record(a, name=name, command=command)
     if options.out is None:
-        optimised = _optimised(options, a, None, reporter)
-        return summary(a, name=name, optimised=optimised), found | {"optimised": optimised or None}
+        said, found = _with_optimised(options, a, None, found, reporter)
+        return summary(a, name=name, **said), found
     with new_folder(options.out, overwrite=options.overwrite) as folder:
-        optimised = _optimised(options, a, folder, reporter)
-        found |= {"optimised": optimised or None}
+        said, found = _with_optimised(options, a, folder, found, reporter)
         reporter.stage("writing", of=STAGES)
-        _write(folder, a, name, command, found, optimised)
-    text = summary(a, name=name, optimised=optimised)
+        _write(folder, a, name, command, found, said)
+    text = summary(a, name=name, **said)
     return f"{text}\n\n-> {options.out}", found | {"out": str(options.out)}
 
 
-def _optimised(
-    options: DesignOptions, a: Assessment, folder: Path | None, reporter: Reporter
-) -> str:
-    """Look for a better place of the projector if asked; return what was found."""
+def _with_optimised(
+    options: DesignOptions,
+    a: Assessment,
+    folder: Path | None,
+    found: dict[str, Any],
+    reporter: Reporter,
+) -> tuple[dict[str, str], dict[str, Any]]:
+    """Look for a better place of the projector if asked; return what to say, and the record."""
     if not options.optimise:
-        return ""
+        return {}, found | {"optimised": None}
     from fringe3d.cli.optimiser import run_optimise
 
-    return run_optimise(a.rig, period_px=a.period_px, angle=a.angle, quality=a.quality, out=folder,
-                        reporter=reporter)  # fmt: skip
+    better = run_optimise(a.rig, period_px=a.period_px, angle=a.angle, quality=a.quality,
+                          out=folder, reporter=reporter, beyond=options.beyond or 0.0)  # fmt: skip
+    said = {"advice": better.advice, "optimised": better.text}
+    return said, found | {"optimised": better.record}
 
 
 def _load(rig: str) -> Sketch:
@@ -114,9 +122,16 @@ def _load(rig: str) -> Sketch:
 
 
 def _write(
-    folder: Path, a: Assessment, name: str, command: str, found: dict[str, Any], optimised: str
+    folder: Path,
+    a: Assessment,
+    name: str,
+    command: str,
+    found: dict[str, Any],
+    said: dict[str, str],
 ) -> None:
-    from fringe3d.report.design_pictures import draw_maps, draw_rig, draw_segments
+    """Write pictures, report and figures into the folder."""
+    from fringe3d.report.design_maps import draw_maps
+    from fringe3d.report.design_pictures import draw_rig, draw_segments
 
     title = f"Design of {name}"
     draw_rig(folder / "rig.png", a, title=title)
@@ -130,6 +145,6 @@ def _write(
     ]  # fmt: skip
     if (folder / "tradeoff.png").exists():
         pictures.append(("tradeoff.png", "Where the projector could stand instead."))
-    text = markdown(a, name=name, command=command, pictures=pictures, optimised=optimised)
+    text = markdown(a, name=name, command=command, pictures=pictures, **said)
     (folder / "design.md").write_text(text, encoding="utf-8")
     (folder / "design.json").write_text(json.dumps(found, indent=2) + "\n", encoding="utf-8")

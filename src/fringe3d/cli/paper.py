@@ -9,6 +9,7 @@ from __future__ import annotations
 import multiprocessing
 import os
 import signal
+import time
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from contextlib import contextmanager
@@ -129,13 +130,13 @@ def _all_tried(options: PaperOptions, reporter: Reporter) -> list[Entry]:
     """Try everything, on all cores; the result does not depend on their number."""
     works = [(thing, number) for thing in options.objects for number in range(len(SETTINGS))]
     jobs = min(len(works), options.jobs or _n_cores())
-    task = "simulating and measuring"
-    reporter.step(task, 0, len(works))
+    progress = _Progress(reporter, len(works))
+    progress.begins(jobs)
     if jobs == 1:
         entries: list[Entry] = []
-        for done, (thing, number) in enumerate(works):
+        for thing, number in works:
             entries += _work(options, thing, number)
-            reporter.step(task, done + 1, len(works))
+            progress.finished(thing, number)
         return entries
     context = multiprocessing.get_context("spawn")  # threads of the kernels do not survive a fork
     with (
@@ -143,16 +144,42 @@ def _all_tried(options: PaperOptions, reporter: Reporter) -> list[Entry]:
         ProcessPoolExecutor(jobs, mp_context=context, initializer=_ignore_interrupt) as pool,
     ):
         try:
-            futures = [pool.submit(_work, options, *work) for work in works]
-            for done, future in enumerate(as_completed(futures)):
+            futures = {pool.submit(_work, options, *work): work for work in works}
+            for future in as_completed(futures):
                 future.result()
-                reporter.step(task, done + 1, len(works))
+                progress.finished(*futures[future])
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
             for child in multiprocessing.active_children():
                 child.terminate()
             raise
     return [entry for future in futures for entry in future.result()]
+
+
+class _Progress:
+    """A bar on a terminal, a line for each finished part elsewhere: in a log, a pipe."""
+
+    def __init__(self, reporter: Reporter, total: int) -> None:
+        self._reporter, self._total, self._done = reporter, total, 0
+        self._began = time.monotonic()
+
+    def begins(self, jobs: int) -> None:
+        """Tell how much there is to do."""
+        self._tell(f"{self._total} scans to simulate and measure, {jobs} at a time")
+
+    def finished(self, thing: str, number: int) -> None:
+        """Tell which part is done."""
+        self._done += 1
+        setting, seconds = SETTINGS[number], time.monotonic() - self._began
+        on = " on a table" if setting.background == "table" else ""
+        self._tell(
+            f"{self._done}/{self._total} {thing}{on}, rig {setting.preset} ({seconds:.0f} s)"
+        )
+
+    def _tell(self, text: str) -> None:
+        self._reporter.step("simulating and measuring", self._done, self._total)
+        if not self._reporter.console.is_terminal:
+            self._reporter.note(text)
 
 
 def _work(options: PaperOptions, thing: str, number: int) -> list[Entry]:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import os
+import sys
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -107,6 +109,7 @@ def design(
     noise: Annotated[float, Parameter(validator=at_least(0))] = 0.01,
     calibration_error_px: Annotated[float, Parameter(validator=at_least(0))] = 0.1,
     camera_period: Annotated[float | None, Parameter(validator=at_least(1))] = None,
+    beyond: Annotated[float | None, Parameter(validator=at_least(0, 2))] = None,
     out: Path | None = None,
     optimise: Annotated[bool, Parameter(negative=())] = False,
     overwrite: Overwrite = False,
@@ -135,11 +138,15 @@ def design(
         How far calibrated and true image points differ.
     camera_period
         Period that the second camera sees, px; needed where the projector is not calibrated.
+    beyond
+        Part of a segment beyond each end of the volume in which surfaces are seen, too, as a
+        table; all figures then count them. By default 0.4 in a column of their own, and else 0.
     out
         Folder for report and pictures; must not exist yet.
     optimise
         Look for a better place of the projector and angle of the fringes.
     """
+    _without_threads()
     from fringe3d.cli.designer import DesignOptions, run_design
     from fringe3d.io.importing import parse_depth
 
@@ -152,6 +159,7 @@ def design(
         noise=noise,
         calibration_px=calibration_error_px,
         camera_period_px=camera_period,
+        beyond=beyond,
         out=out,
         optimise=optimise,
         overwrite=overwrite,
@@ -159,3 +167,14 @@ def design(
     with simulator_installed("design"), Reporter(quiet=as_json).running() as reporter:
         text, record = run_design(options, reporter)
     say(text, record, as_json=as_json)
+
+
+def _without_threads() -> None:
+    """Keep the libraries to one thread; they read that as they are loaded.
+
+    A design takes thousands of small arrays, for which threads cost more than they help: on a busy
+    machine ten times the whole.
+    """
+    for library, name in (("numba", "NUMBA_NUM_THREADS"), ("numpy", "OPENBLAS_NUM_THREADS")):
+        if library not in sys.modules:
+            os.environ.setdefault(name, "1")

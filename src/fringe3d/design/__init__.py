@@ -14,7 +14,7 @@ from fringe3d.design.margin import AmbiguityMap, ambiguity_margins
 from fringe3d.design.optimise import Candidate, Optimisation, optimise
 from fringe3d.design.reference import Reference, reference_of, with_depth
 from fringe3d.design.residual import Quality, wrong_order_residuals
-from fringe3d.design.search import Limits
+from fringe3d.design.task import Limits
 from fringe3d.design.uncertainty import (
     UncertaintyMap,
     fringe_crossing,

@@ -15,14 +15,22 @@ from scipy.spatial.transform import Rotation
 
 from fringe3d.design.reference import Reference, reference_of, require_volume
 from fringe3d.errors import RigError
-from fringe3d.geometry import epipolar_segment, pixel_grid, project, rays, triangulation_angle
+from fringe3d.geometry import (
+    depth_interval,
+    epipolar_segment,
+    frustum,
+    project,
+    rays,
+    triangulation_angle,
+)
 from fringe3d.model import Device, Rig, RigidTransform
 from fringe3d.patterns import across
 
 SEGMENT_SAMPLES = 5
 """Points along a segment, ends included: enough for its bend, a few px at most."""
 
-ANGLE_TOLERANCE = 1e-5
+ANGLE_TOLERANCE = 1e-6
+"""Rad; how far below the limit an angle without code may be: a ten-thousandth of a degree."""
 
 Map = NDArray[np.float64]
 
@@ -44,8 +52,33 @@ class SegmentMap:
     periods: Map
 
 
+def spread_pixels(shape: tuple[int, int], step: int, /, *, edges: bool = True) -> Map:
+    """Return every step-th row and column of an image, and with `edges` the last ones, too.
+
+    Parameters
+    ----------
+    shape : (n_rows, n_cols)
+    step : int
+    edges : bool; segments are often longest in a corner of the image
+
+    Returns
+    -------
+    (row, col, 2) float64, px; (x, y)
+
+    Examples
+    --------
+    >>> spread_pixels((3, 6), 4)[..., 0].tolist()
+    [[0.0, 4.0, 5.0], [0.0, 4.0, 5.0]]
+    """
+    last = [[n - 1] if edges else [] for n in shape]
+    rows, cols = (
+        np.union1d(np.arange(0, n, step), end) for n, end in zip(shape, last, strict=True)
+    )
+    return np.asarray(np.stack(np.meshgrid(cols, rows), axis=-1), np.float64)
+
+
 def periods_on_projector(
-    rig: Rig, /, *, period_px: float, angle: float = 0.0, step: int = 1
+    rig: Rig, /, *, period_px: float, angle: float = 0.0, step: int = 1, edges: bool = False
 ) -> Map:
     """Count the fringe periods on the projector segment of every pixel of C1.
 
@@ -58,6 +91,7 @@ def periods_on_projector(
     period_px : float, projector px
     angle : float, rad; of the fringes
     step : int; only every step-th row and column
+    edges : bool; and the last ones, whatever the step
 
     Returns
     -------
@@ -75,7 +109,7 @@ def periods_on_projector(
     for fringes that nearly follow the epipolar lines through a distorting lens.
     """
     projector = projector_of(rig)
-    pixels = pixel_grid(rig.cameras[0].shape)[::step, ::step]
+    pixels = spread_pixels(rig.cameras[0].shape, step, edges=edges)
     periods = _periods_of_pixels(rig, pixels, period_px, angle)
     if not np.isfinite(periods).any():
         raise _not_seen(rig, projector)
@@ -85,13 +119,63 @@ def periods_on_projector(
 def _periods_of_pixels(rig: Rig, pixels: Map, period_px: float, angle: float) -> Map:
     projector = projector_of(rig)
     origin, directions, near, far = _segments(rig, projector, pixels)
-    low, high = np.full(near.shape, np.inf), np.full(near.shape, -np.inf)
+    low, high = _ends_of_w(projector, origin, directions, near, far, np.array([angle]))
+    return np.asarray((high - low)[0] / period_px)
+
+
+def _ends_of_w(
+    projector: Device, origin: Map, directions: Map, near: Map, far: Map, angles: Map
+) -> tuple[Map, Map]:
+    """Return the least and the largest w between two depths of rays (...), (n_angles, ...)."""
+    turn = angles.reshape(-1, *[1] * near.ndim)
+    low = np.full((len(angles), *near.shape), np.inf)
+    high = -low
     for part in np.linspace(0, 1, SEGMENT_SAMPLES):
         depth = near + part * (far - near)
         seen = project(projector, origin + depth[..., None] * directions)
-        w = across(angle, seen[..., 0], seen[..., 1])
+        u, v = (across(angle, seen[..., 0], seen[..., 1]) for angle in (0.0, np.pi / 2))
+        w = np.cos(turn) * u + np.sin(turn) * v
         low, high = np.minimum(low, w), np.maximum(high, w)
-    return np.asarray((high - low) / period_px)
+    return low, high
+
+
+def longest_reach(
+    rig: Rig, pixels: Map, angles: Map, /, *, period_px: float, beyond: float = 0.0
+) -> Map:
+    """Return the most periods between a point of the volume and another on its ray that is lit.
+
+    Parameters
+    ----------
+    rig : Rig with a projector and a volume
+    pixels : (..., 2) float, px; of C1
+    angles : (n_angles,) float, rad; of the fringes
+    period_px : float, projector px
+    beyond : float; the other point may lie up to this part of the ray's depth beyond the volume;
+        with 0 it is the length of the longest segment
+
+    Returns
+    -------
+    (n_angles,) float64
+
+    Raises
+    ------
+    RigError
+        If there is no projector, no volume, or if no pixel sees a lit part of it.
+    """
+    projector = projector_of(rig)
+    origin, directions, near, far = _segments(rig, projector, pixels)
+    if not np.isfinite(near).any():
+        raise _not_seen(rig, projector)
+    low, high = _ends_of_w(projector, origin, directions, near, far, angles)
+    lowest, highest = low, high
+    if beyond > 0:
+        top, bottom = depth_interval(origin, directions, require_volume(rig))
+        enter, leave = depth_interval(origin, directions, frustum(projector))
+        room = beyond * (bottom - top)
+        ends = np.fmax(top - room, enter), np.fmin(bottom + room, leave)
+        lowest, highest = _ends_of_w(projector, origin, directions, *ends, angles)
+    reach = np.maximum(high - lowest, highest - low).reshape(len(angles), -1)
+    return np.asarray(np.nanmax(reach, axis=1) / period_px)
 
 
 def projector_of(rig: Rig, /) -> Device:
@@ -130,6 +214,7 @@ def periods_in_camera(
     angle: float = 0.0,
     camera_period_px: float | None = None,
     step: int = 1,
+    edges: bool = False,
 ) -> SegmentMap:
     """Count the fringe periods on the segment in C2 of every pixel of C1.
 
@@ -148,6 +233,7 @@ def periods_in_camera(
         The period that C2 sees: needed where the projector is not calibrated, taken instead of
         the plane where given.
     step : int; only every step-th row and column
+    edges : bool; and the last ones, whatever the step
 
     Returns
     -------
@@ -159,15 +245,8 @@ def periods_in_camera(
         If there is no second camera, no volume, neither a projector nor `camera_period_px`, or
         if no pixel sees a part of the volume that C2 sees.
     """
-    if len(rig.cameras) < 2:
-        raise RigError("rig: expected a second camera, found one. Add it to the rig")
-    if rig.projector is None and camera_period_px is None:
-        raise RigError(
-            "rig: expected a projector or the period that the second camera sees, found neither. "
-            "Give the period (--camera-period PX), or add a projector to the rig"
-        )
-    second = rig.cameras[1]
-    pixels = pixel_grid(rig.cameras[0].shape)[::step, ::step]
+    second = _second_camera(rig, camera_period_px)
+    pixels = spread_pixels(rig.cameras[0].shape, step, edges=edges)
     origin, directions, near, far = _segments(rig, second, pixels)
     if not np.isfinite(near).any():
         raise _not_seen(rig, second)
@@ -186,6 +265,18 @@ def periods_in_camera(
     with np.errstate(divide="ignore", invalid="ignore"):
         period = length / periods
     return SegmentMap(length_px=length, period_px=period, periods=periods)
+
+
+def _second_camera(rig: Rig, camera_period_px: float | None) -> Device:
+    """Return C2; raise RigError where there is none, or no period for it."""
+    if len(rig.cameras) < 2:
+        raise RigError("rig: expected a second camera, found one. Add it to the rig")
+    if rig.projector is None and camera_period_px is None:
+        raise RigError(
+            "rig: expected a projector or the period that the second camera sees, found neither. "
+            "Give the period (--camera-period PX), or add a projector to the rig"
+        )
+    return rig.cameras[1]
 
 
 def _w_on_plane(rig: Rig, reference: Reference, points: Map, angle: float) -> Map:
@@ -237,10 +328,11 @@ def angle_without_code(
     guard: float = 0.0,
     principal_ray: bool = False,
     step: int = 1,
+    beyond: float = 0.0,
 ) -> float:
     """Return the largest angle between C1 and P with less than a period on every segment.
 
-    The projector is moved as in `with_projector_at`; ``max m + 2 guard = 1`` there.
+    The projector is moved as in `with_projector_at`; ``max m + 2 guard`` is just below 1 there.
 
     Parameters
     ----------
@@ -250,7 +342,8 @@ def angle_without_code(
     guard : float, periods
     principal_ray : bool
         Count the ray through the reference point alone, as equation (5) does.
-    step : int; count every step-th row and column
+    step : int; count every step-th row and column, and the last ones
+    beyond : float; see `longest_reach`
 
     Returns
     -------
@@ -258,22 +351,22 @@ def angle_without_code(
         takes the whole period
     """
     camera = rig.cameras[0]
-    pixels = pixel_grid(camera.shape)[::step, ::step]
+    pixels = spread_pixels(camera.shape, step)
     if principal_ray:
         pixels = project(camera, reference_of(rig).point_mm)[None]
 
     def excess(tau: float) -> float:
         moved = with_projector_at(rig, tau)
-        periods = _periods_of_pixels(moved, pixels, period_px, angle)
-        if not np.isfinite(periods).any():
-            raise _not_seen(moved, projector_of(moved))
-        return float(np.nanmax(periods)) + 2 * guard - 1
+        reach = longest_reach(moved, pixels, np.array([angle]), period_px=period_px, beyond=beyond)
+        return float(reach[0]) + 2 * guard - 1
 
     if 2 * guard >= 1:
         return math.nan
     narrow = 0.0
     for wide in np.radians([2.0, 5.0, 10.0, 20.0, 40.0, 60.0]):
         if excess(float(wide)) >= 0:
-            return float(brentq(excess, narrow, float(wide), xtol=ANGLE_TOLERANCE))
+            found = float(brentq(excess, narrow, float(wide), xtol=ANGLE_TOLERANCE))
+            # A root lies within the tolerance of the true one: this is below it.
+            return max(0.0, found - 2 * ANGLE_TOLERANCE)
         narrow = float(wide)
     return math.inf

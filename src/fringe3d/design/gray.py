@@ -28,8 +28,8 @@ class GrayNeeds:
     max_orders : int; the most fringe orders that fit one wrapped phase, guard included
     twins : tuple of float; by number of bits from 0: part of the points in the volume of which
         a second place on the same segment has the same phase and code
-    twins_beyond : tuple of float; the same where surfaces up to `BEYOND` of a segment outside
-        the volume are lit and seen, too
+    twins_beyond : tuple of float; the same where surfaces up to a part of a segment outside the
+        volume are lit and seen, too
     """
 
     max_periods: float
@@ -125,13 +125,14 @@ def twin_part(periods: Map, n_bits: float, /, *, guard: float = 0.0, beyond: flo
     return float(twins.sum() / m.sum()) if m.sum() > 0 else 0.0
 
 
-def gray_needs(periods: Map, /, *, guard: float = 0.0) -> GrayNeeds:
+def gray_needs(periods: Map, /, *, guard: float = 0.0, beyond: float = BEYOND) -> GrayNeeds:
     """Return the Gray code that the segments need.
 
     Parameters
     ----------
     periods : (row, col) float; m of each segment; NaN where there is none; some are finite
     guard : float, periods; see `guard_periods`
+    beyond : float; part of a segment, at both ends, for `GrayNeeds.twins_beyond`
 
     Examples
     --------
@@ -141,11 +142,11 @@ def gray_needs(periods: Map, /, *, guard: float = 0.0) -> GrayNeeds:
     """
     orders = int(order_counts(periods, guard=guard).max())
     # Beyond the volume the segments are longer by twice that part, so more bits may be needed.
-    widest = math.floor((1 + 2 * BEYOND) * float(np.nanmax(periods)) + 2 * guard) + 1
+    widest = math.floor((1 + 2 * beyond) * float(np.nanmax(periods)) + 2 * guard) + 1
     bits = range(math.ceil(math.log2(widest)) + 1)
     return GrayNeeds(
         max_periods=float(np.nanmax(periods)),
         max_orders=orders,
         twins=tuple(twin_part(periods, n, guard=guard) for n in bits),
-        twins_beyond=tuple(twin_part(periods, n, guard=guard, beyond=BEYOND) for n in bits),
+        twins_beyond=tuple(twin_part(periods, n, guard=guard, beyond=beyond) for n in bits),
     )

@@ -43,6 +43,9 @@ Array = NDArray[np.float64]
 FLOOR = 0.0015
 """Periods; what no model of noise and calibration covers: harmonics, interpolation, curvature."""
 
+BLOCK = 8192
+"""Points at a time: of more, matrix products wait for threads, for long on a busy machine."""
+
 GRADIENT_STEP_MM = 0.05
 """Lenses are smooth over metres; rounding stays below 1e-9 px."""
 
@@ -264,8 +267,10 @@ def seen_phase(
 
 def phase_at(projector: Device, points: Array, period_px: float, angle: float, /) -> Array:
     """Return the phase of the projector at points (..., 3), periods from w = 0."""
-    x, y = np.moveaxis(project(projector, points), -1, 0)
-    return across(angle, x, y) / period_px
+    flat = points.reshape(-1, 3)
+    blocks = [project(projector, flat[i : i + BLOCK]) for i in range(0, len(flat), BLOCK)]
+    x, y = np.concatenate([np.empty((0, 2)), *blocks]).T
+    return (across(angle, x, y) / period_px).reshape(points.shape[:-1])
 
 
 def _dot(a: Array, b: Array) -> Array:

@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fringe3d.design.counts import projector_of
-from fringe3d.design.margin import LARGEST_RESIDUAL, meeting, room_between
+from fringe3d.design.margin import LARGEST_RESIDUAL, room_between
 from fringe3d.design.residual import Quality, Sight, phase_ratio, residual_sigma, sight_of
+from fringe3d.design.sampling import meeting
 from fringe3d.design.uncertainty import INTERPOLATION_WEIGHT
 from fringe3d.geometry import project
 from fringe3d.model import Rig
@@ -59,6 +60,7 @@ def screen(
     *,
     period_px: float,
     beyond: float = 0.0,
+    guard: float = 0.0,
 ) -> Screening:
     """Judge fringe angles by the first-order residuals of wrong orders.
 
@@ -70,7 +72,7 @@ def screen(
     normals : (n_normals, 3) float; of surfaces, the first one facing the rig
     quality : Quality
     period_px : float, projector px
-    beyond : float; see `ambiguity_margins`
+    beyond, guard : float; see `sampling.Sampling`
 
     Raises
     ------
@@ -89,15 +91,15 @@ def screen(
     first, last, own = np.split(w, np.cumsum([len(met.first), len(met.last)]), axis=1)
     low = np.repeat(np.minimum(first, last), len(DEPTHS), axis=1) - own
     high = np.repeat(np.maximum(first, last), len(DEPTHS), axis=1) - own
-    reach = np.maximum(high, -low).max(axis=1)
+    reach, room = np.maximum(high, -low).max(axis=1), SLACK + guard
     ratio = np.asarray((LARGEST_RESIDUAL / sigma).min(axis=(1, 2)))
-    for order in range(1, min(MOST_ORDERS, int(reach.max() + SLACK)) + 1):
+    for order in range(1, min(MOST_ORDERS, int(reach.max() + room)) + 1):
         for j in (order, -order):
-            occurs = ((low - SLACK <= j) & (j <= high + SLACK))[:, None]
+            occurs = ((low - room <= j) & (j <= high + room))[:, None]
             ratio = np.minimum(ratio, _ratio_of(j * (1 - rho), sigma, occurs))
     return Screening(
         ratio=np.where(reach > MOST_ORDERS, -np.inf, ratio),
-        sigma_mm=_point_sigma(sight, rho[:, 0], quality),
+        sigma_mm=median_sigma(sight, rho, quality)[:, 0],
         reach=reach,
         lit_mm=float(np.linalg.norm(met.points[:, -1] - met.points[:, 0], axis=-1).sum()),
     )
@@ -114,9 +116,20 @@ def _ratio_of(seen: Array, sigma: Array, occurs: NDArray[np.bool_]) -> Array:
     return np.asarray(np.where(room > 0, rest, room / sigma.max(axis=(1, 2))))
 
 
-def _point_sigma(sight: Sight, rho: Array, quality: Quality) -> Array:
-    """Return the median standard deviation (n_angles,), mm; see `uncertainty.point_sigma`."""
+def median_sigma(sight: Sight, rho: Array, quality: Quality, /) -> Array:
+    """Return the median standard deviation of points, mm; see `uncertainty.point_sigma`.
+
+    Parameters
+    ----------
+    sight : Sight; of points (..., n), with gradients (..., n, 3)
+    rho : (..., n) float; see `phase_ratio`
+    quality : Quality
+
+    Returns
+    -------
+    (...) float64; over the n points
+    """
     along = sight.d1 / np.linalg.norm(sight.d1, axis=-1, keepdims=True)
-    slope = np.abs((sight.gradient[:, 0] * along).sum(axis=-1) * (1 - rho))
+    slope = np.abs((sight.gradient * along).sum(axis=-1) * (1 - rho))
     noise = quality.phase_sigma * np.sqrt(1 + INTERPOLATION_WEIGHT)
-    return np.asarray(noise / np.median(slope, axis=1))
+    return np.asarray(noise / np.median(slope, axis=-1))

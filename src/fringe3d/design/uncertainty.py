@@ -247,8 +247,7 @@ def predict_uncertainty(
     volume = require_volume(rig)
     for other in (partner_of(rig), *((rig.projector,) if rig.projector else ())):
         volume = volume.intersection(frustum(other))
-    pixels = pixel_grid(rig.cameras[0].shape)[::step, ::step]
-    origin, directions = rays(rig.cameras[0], pixels)
+    origin, directions = rays(rig.cameras[0], pixel_grid(rig.cameras[0].shape)[::step, ::step])
     near, far = depth_interval(origin, directions, volume)
     seen = (near < far) & np.isfinite(far)
     if not seen.any():

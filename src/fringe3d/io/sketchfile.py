@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import difflib
 import math
 import tomllib
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -185,6 +187,7 @@ def read_sketch(path: Path, /) -> Sketch:
     """
     if not _is_sketch(path):
         return Sketch(rig=read_rig(path))
+    _require_known_keys(path)
     table = read_toml(path, SketchTable, RigError)
     try:
         rig = _rig(table)
@@ -209,6 +212,43 @@ def _is_sketch(path: Path) -> bool:
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError):
         return False
     return str(table.get("format", "")).startswith("fringe3d-sketch")
+
+
+VOLUMES: dict[str, type[StrictModel]] = {
+    "box": BoxSketch,
+    "cylinder": CylinderSketch,
+    "depth": DepthSketch,
+}
+
+
+def _require_known_keys(path: Path) -> None:
+    """Refuse keys that the table in which they stand does not have, though another one may."""
+    table = tomllib.loads(path.read_text(encoding="utf-8"))
+    if table["format"] != FORMAT:
+        return  # another version: its keys are not known here
+    for where, of, schema, values in _tables(table):
+        for key in values:
+            if key in schema.model_fields:
+                continue
+            known = sorted(schema.model_fields)
+            close = difflib.get_close_matches(key, known, n=1)
+            hint = f"Did you mean '{close[0]}'?" if close else f"The keys {of}: {', '.join(known)}"
+            raise RigError(f"{path}: unknown key '{where}{key}'. {hint}")
+
+
+def _tables(table: dict[str, Any]) -> Iterator[tuple[str, str, type[StrictModel], dict[str, Any]]]:
+    """Yield the tables of a sketch: where they stand, what they are, schema and values."""
+    yield "", "of a sketch", SketchTable, table
+    devices = table.get("devices")
+    for number, values in enumerate(devices if isinstance(devices, list) else []):
+        if isinstance(values, dict):
+            yield f"devices[{number}].", "of a device", SketchDevice, values
+    volume, fringes = table.get("volume"), table.get("fringes")
+    kind = volume.get("kind") if isinstance(volume, dict) else None
+    if isinstance(volume, dict) and isinstance(kind, str) and kind in VOLUMES:
+        yield "volume.", f"of the kind '{kind}'", VOLUMES[kind], volume
+    if isinstance(fringes, dict):
+        yield "fringes.", "of the fringes", FringesSketch, fringes
 
 
 def _rig(table: SketchTable) -> Rig:

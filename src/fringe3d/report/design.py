@@ -5,18 +5,23 @@ from __future__ import annotations
 import math
 import textwrap
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
 from fringe3d.design import AmbiguityMap, Assessment, Equation, GrayNeeds
-from fringe3d.design.gray import BEYOND, ENOUGH
+from fringe3d.design.gray import ENOUGH
 from fringe3d.design.margin import NEEDED_RATIO
+from fringe3d.report.design_words import (
+    findings,
+    over_determined,
+    patterns_command,
+    percent,
+    recommendation,
+)
 
 WIDTH = 98
 
-FLAT = math.radians(25.0)
-"""Fringes that cross the epipolar lines at less are said to follow them."""
+ELSEWHERE = "With the projector elsewhere"
 
 CODES = (
     "A plain code takes as many images as bits; its edges fall where the phase wraps, which costs "
@@ -25,22 +30,51 @@ CODES = (
 )
 
 
-def summary(a: Assessment, /, *, name: str, optimised: str = "") -> str:
-    """Return what the terminal shows, lines of at most `WIDTH` characters."""
-    lines = [*textwrap.wrap(f"{name}: {_about(a)}", WIDTH), _angles(a), ""]
+def summary(a: Assessment, /, *, name: str, advice: str = "", optimised: str = "") -> str:
+    """Return what the terminal shows, the recommendation first, lines of at most `WIDTH`.
+
+    Parameters
+    ----------
+    a : Assessment
+    name : str; of the rig
+    advice, optimised : str; what a better place for the projector gives, and its table
+    """
+    first, *others = recommendation(a)
+    lines = textwrap.wrap(f"{name}: {first}", WIDTH, subsequent_indent="  ")
+    for text in _advised(others, advice):
+        lines += _item(text)
+    if patterns_command(a):  # on one line, to be copied
+        lines += ["- The images, to project:", f"  {patterns_command(a)}"]
+    lines += ["", *textwrap.wrap(_about(a), WIDTH), _angles(a), ""]
     lines += _aligned(_equation_rows(a), "lrrr")
-    for equation in a.equations:
-        lines += textwrap.wrap(f"({equation.number}) {equation.remark}", WIDTH,
-                               subsequent_indent="    ")  # fmt: skip
+    for text in (*_columns(a), *(f"({e.number}) {e.remark}" for e in a.equations)):
+        lines += textwrap.wrap(text, WIDTH, subsequent_indent="    ")
     lines += ["", *_aligned(_gray_rows(a), "lrrrr")]
     if a.margins is not None:
         lines += ["", *_aligned(_margin_rows(a.margins), "l" + "r" * len(a.margins.slopes))]
     lines.append("")
     for text in findings(a):
-        lines += textwrap.wrap(f"- {text}", WIDTH, subsequent_indent="  ")
+        lines += _item(text)
     if optimised:
         lines += ["", optimised]
     return "\n".join(lines)
+
+
+def _item(text: str) -> list[str]:
+    return textwrap.wrap(f"- {text}", WIDTH, subsequent_indent="  ")
+
+
+def _columns(a: Assessment) -> list[str]:
+    """Say what the columns of the equations mean."""
+    counted = "the worst pixel of the rig as it is"
+    if a.step > 1:
+        counted += f" (every {a.step} px, and the last row and column)"
+    if any(equation.number == 5 for equation in a.equations):
+        counted += ", in (5) with a guard for noise and calibration"
+    return [
+        "printed: the source paper's form. exact: its closed form on C1's principal ray, for "
+        f"fringes square to the epipolar plane and no distortion. all pixels: {counted}."
+    ]
 
 
 def markdown(
@@ -50,36 +84,53 @@ def markdown(
     name: str,
     command: str,
     pictures: Sequence[tuple[str, str]],
+    advice: str = "",
     optimised: str = "",
 ) -> str:
-    """Return the report as Markdown; `pictures` are file names and what they show."""
+    """Return the report as Markdown, the recommendation first.
+
+    Parameters
+    ----------
+    a : Assessment
+    name, command : str; of the rig, and as typed
+    pictures : sequence of (str, str); file names and what they show
+    advice, optimised : see `summary`
+    """
+    first, *others = recommendation(a)
     parts = [
         f"# Design of {name}",
-        f"`{command}`",
+        f"**{first}**",
+        "\n".join(f"- {text}" for text in _advised(others, advice)),
+        f"The images, to project: `{patterns_command(a)}`" if patterns_command(a) else "",
         f"Devices {_about(a)}.\nT{_angles(a)[1:]}.",
+        f"`{command}`",
         "## Which images",
-        "\n".join(f"- {text}" for text in findings(a)),
         _table(_gray_rows(a)),
         CODES,
         "A point has a twin where a second place on its own segment has the same wrapped phase and "
         f"the same cyclic code; enough bits leave less than {100 * ENOUGH:g} % of the points with "
-        f"one. *Beyond the volume*: surfaces up to {100 * BEYOND:g} % of a segment outside it, "
-        "such as the table, are lit and seen, too.",
+        f"one. *Beyond the volume*: surfaces up to {100 * a.beyond_part:g} % of a segment outside "
+        "it, such as the table, are lit and seen, too.",
         _table(_twin_rows(a)),
         "" if a.margins is None else _table(_margin_rows(a.margins)),
-        "## A better place for the projector" if optimised else "",
+        "\n".join(f"- {text}" for text in findings(a)),
+        f"## {ELSEWHERE}" if optimised else "",
         f"```\n{optimised}\n```" if optimised else "",
         "## The source paper's equations",
         _table(_equation_rows(a)),
+        *_columns(a),
         "\n".join(f"- ({e.number}): {e.remark}" for e in a.equations),
-        "*Exact* is the closed form of C1's principal ray (fringes square to the epipolar plane, "
-        "no distortion), *all pixels* the worst pixel of the rig as it is.",
         "## Definitions",
         _definitions(a),
         "## Pictures",
         *(f"![{text}]({file})\n\n{text}" for file, text in pictures),
     ]
     return "\n\n".join(part for part in parts if part) + "\n"
+
+
+def _advised(others: Sequence[str], advice: str) -> list[str]:
+    """Return the recommendation after its first sentence."""
+    return [*others, *([f"{ELSEWHERE}: {advice}"] if advice else [])]
 
 
 def _about(a: Assessment) -> str:
@@ -146,12 +197,7 @@ def _gray_rows(a: Assessment) -> list[list[str]]:
 
 
 def _images(bits: int) -> str:
-    return f"{bits} / {_over_determined(bits)}" if bits else "none"
-
-
-def _over_determined(bits: int) -> int:
-    """Return the images of a code with cells of half a period."""
-    return bits + 1 if bits else 0
+    return f"{bits} / {over_determined(bits)}" if bits else "none"
 
 
 def _margin_rows(margins: AmbiguityMap) -> list[list[str]]:
@@ -180,95 +226,6 @@ def _twin_rows(a: Assessment) -> list[list[str]]:
     return rows
 
 
-def percent(share: float, /) -> str:
-    """Say a share in per cent; a small one is not called none."""
-    return "0 %" if share == 0 else "below 0.1 %" if share < 0.001 else f"{100 * share:.1f} %"
-
-
-def findings(a: Assessment, /) -> list[str]:
-    """Return what follows from the figures, one sentence each."""
-    found = []
-    if a.place is not None and a.place.crossing < FLAT:
-        found.append(
-            f"The fringes nearly follow the epipolar lines ({math.degrees(a.place.crossing):.0f} "
-            "deg between them): points get uncertain. Turn them to "
-            f"{math.degrees(a.place.square_angle):.0f} deg (--angle)."
-        )
-    found.append(_code_finding(a))
-    if a.projector_needs is not None and a.camera_needs is not None:
-        saved = _over_determined(a.camera_needs.bits) - _over_determined(a.projector_needs.bits)
-        if saved > 0:
-            found.append(
-                f"The projector's calibration saves {_count(saved, 'image')}: without it "
-                f"{a.camera_needs.max_periods:.1f} periods of C2's segment come into question "
-                f"instead of {a.projector_needs.max_periods:.1f}."
-            )
-    if a.place is not None and math.isfinite(a.place.free_angle):
-        found.append(
-            f"No code is needed up to {math.degrees(a.place.free_angle):.2f} deg between C1 and "
-            f"projector (now {math.degrees(a.angle_c1p):.1f}); C1's principal ray alone would "
-            f"allow {math.degrees(a.place.free_angle_principal):.2f} deg."
-        )
-    if a.margins is not None and a.projector_needs is not None and a.projector_needs.bits:
-        found.append(_margin_finding(a.margins, a.quality.n_shifts))
-    u = a.uncertainty
-    found.append(
-        f"Sigma of the points, surfaces that face the rig: median {1000 * u.median_mm:.1f} um, "
-        f"5 to 95 % {1000 * u.low_mm:.1f} to {1000 * u.high_mm:.1f} um ({a.quality.n_shifts} "
-        f"steps, noise {100 * a.quality.noise:g} % of the modulation)."
-    )
-    return found
-
-
-def _count(number: int, thing: str) -> str:
-    return f"{number} {thing}{'' if number == 1 else 's'}"
-
-
-def _code_finding(a: Assessment) -> str:
-    needs = a.projector_needs or a.camera_needs
-    assert needs is not None
-    steps = a.quality.n_shifts
-    further = ""
-    if needs.bits_beyond > needs.bits:
-        bits = needs.bits_beyond
-        further = (
-            f" Where a table or a wall is seen beyond the volume, take {_count(bits, 'bit')}: "
-            f"{steps + bits + 1} images."
-        )
-    if needs.bits == 0:
-        why = "every segment is shorter than a period"
-        if needs.exact_bits:
-            why = (
-                f"the longest segment holds {needs.max_periods:.2f} periods, and only "
-                f"{percent(needs.twins[0])} of the points have a twin"
-            )
-        return f"No Gray code: {steps} images, for {why} (M5).{further}"
-    left = needs.twins[needs.bits]
-    twins = ""
-    if left > 0:
-        exact = _count(needs.exact_bits, "bit")
-        twins = f"; {percent(left)} of the points have a twin, {exact} leave none"
-    return (
-        f"Reduced Gray code of {_count(needs.bits, 'bit')}, {needs.bits + 1} images as an "
-        f"over-determined code: {steps + needs.bits + 1} images in all{twins}.{further}"
-    )
-
-
-def _margin_finding(margins: AmbiguityMap, steps: int) -> str:
-    enough = margins.worst_ratio >= NEEDED_RATIO
-    if not enough[0]:
-        return (
-            f"Fringes alone ({steps} images) do not suffice pixel by pixel: C2 cannot tell some "
-            "wrong order even on surfaces that face the rig. See --optimise."
-        )
-    # Surfaces up to a steeper slope include those up to a flatter one.
-    slope = math.degrees(float(margins.slopes[enough][-1]))
-    text = (
-        f"Fringes alone suffice ({steps} images, M3) on surfaces that slope up to {slope:.0f} deg"
-    )
-    return f"{text}." if enough.all() else f"{text}, not on steeper ones. See --optimise."
-
-
 def _definitions(a: Assessment) -> str:
     u = a.quality
     return "\n".join(
@@ -288,90 +245,6 @@ def _definitions(a: Assessment) -> str:
             "for the wrong order that is hardest to tell.",
         )
     )
-
-
-def record(a: Assessment, /, *, name: str, command: str) -> dict[str, Any]:
-    """Return all figures for machines; angles in degrees, with the unit in the key."""
-    depths, u = a.reference.depths, a.uncertainty
-    found: dict[str, Any] = {
-        "command": command,
-        "rig": name,
-        "period_px": a.period_px if a.rig.projector else None,
-        "camera_period_px": a.camera_period_px,
-        "fringe_angle_deg": math.degrees(a.angle),
-        "steps": a.quality.n_shifts,
-        "noise": a.quality.noise,
-        "calibration_error_px": a.quality.calibration_px,
-        "guard_periods": a.guard,
-        "depth_min_mm": depths.depth_min_mm,
-        "depth_ref_mm": depths.depth_ref_mm,
-        "depth_max_mm": depths.depth_max_mm,
-        "angle_c1_c2_deg": math.degrees(a.angle_c1c2),
-        "angle_c1_projector_deg": math.degrees(a.angle_c1p),
-        "angle_c2_projector_deg": math.degrees(a.angle_c2p),
-        "equations": [_equation_record(equation) for equation in a.equations],
-        "gray_code": {where: _needs_record(needs) for where, needs in _named_searches(a)},
-        "sigma_median_mm": u.median_mm,
-        "sigma_5_percent_mm": u.low_mm,
-        "sigma_95_percent_mm": u.high_mm,
-        "findings": findings(a),
-    }
-    if a.place is not None:
-        found |= {
-            "angle_without_code_deg": math.degrees(a.place.free_angle),
-            "angle_without_code_principal_ray_deg": math.degrees(a.place.free_angle_principal),
-            "fringe_crossing_deg": math.degrees(a.place.crossing),
-            "fringe_angle_square_deg": math.degrees(a.place.square_angle),
-        }
-    if a.margins is not None:
-        found["ambiguity_margin"] = {
-            "slopes_deg": np.degrees(a.margins.slopes).tolist(),
-            "worst_periods": a.margins.worst_margin.tolist(),
-            "worst_ratio": a.margins.worst_ratio.tolist(),
-            "worst_order": a.margins.worst_order.tolist(),
-            "share_unsafe": a.margins.share_unsafe.tolist(),
-        }
-    cleaned: dict[str, Any] = _without_nan(found)
-    return cleaned
-
-
-def _named_searches(a: Assessment) -> list[tuple[str, GrayNeeds]]:
-    pairs = (("projector_segment", a.projector_needs), ("camera_segment", a.camera_needs))
-    return [(name, needs) for name, needs in pairs if needs is not None]
-
-
-def _equation_record(equation: Equation) -> dict[str, Any]:
-    turn = math.degrees if equation.unit == "rad" else float
-    unit = {"rad": "_deg", "px": "_px"}.get(equation.unit, "")
-    return {
-        "number": equation.number,
-        "quantity": equation.quantity,
-        f"printed{unit}": turn(equation.printed),
-        f"exact{unit}": turn(equation.exact),
-        f"all_pixels{unit}": turn(equation.counted),
-        "remark": equation.remark,
-    }
-
-
-def _needs_record(needs: GrayNeeds) -> dict[str, Any]:
-    return {
-        "max_periods": needs.max_periods,
-        "max_orders": needs.max_orders,
-        "bits": needs.bits,
-        "bits_without_any_twin": needs.exact_bits,
-        "bits_with_surfaces_beyond": needs.bits_beyond,
-        "twin_share_by_bits": list(needs.twins),
-        "twin_share_beyond_by_bits": list(needs.twins_beyond),
-    }
-
-
-def _without_nan(value: Any) -> Any:
-    """Return the record with null for what is unknown or infinite: JSON has no such numbers."""
-    if isinstance(value, dict):
-        return {key: _without_nan(entry) for key, entry in value.items()}
-    if isinstance(value, list):
-        return [_without_nan(entry) for entry in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def _aligned(rows: Sequence[Sequence[str]], sides: str) -> list[str]:

@@ -1,4 +1,4 @@
-"""Pictures of a rig: where everything stands, its maps, its segments."""
+"""Pictures of a rig: where everything stands, and its segments."""
 
 from __future__ import annotations
 
@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, HalfspaceIntersection, QhullError
 
 from fringe3d.design import Assessment
-from fringe3d.design.margin import NEEDED_RATIO
 from fringe3d.design.reference import partner_of
 from fringe3d.geometry import epipolar_segment, frustum, pixel_grid, project, rays
 from fringe3d.model import Device, MeasuringVolume
@@ -52,9 +51,9 @@ def draw_rig(path: Path, a: Assessment, /, *, title: str) -> None:
         axis.set_title(f"the rig {view}", fontsize=10, loc="left")
         axis.set_xlabel(label, fontsize=9)
         axis.set_ylabel("towards the rig, mm", fontsize=9)
-    _draw_volume(volume, a, frame, corners)
-    for axis, adjustable in ((above, "datalim"), (side, "datalim"), (volume, "box")):
-        axis.set_aspect("equal", adjustable=adjustable)
+    for axis in (above, side):
+        axis.set_aspect("equal", adjustable="datalim")
+    for axis in (above, side, volume):
         axis.set_facecolor(BACKGROUND)
         axis.tick_params(labelsize=8)
         axis.grid(color="white", linewidth=0.8)
@@ -63,6 +62,12 @@ def draw_rig(path: Path, a: Assessment, /, *, title: str) -> None:
         handles=_legend(a), loc="outside lower center", ncols=7, frameon=False, fontsize=9
     )
     figure.suptitle(title, fontsize=12, x=0.01, ha="left")
+    volume.set_title("the measuring volume from above", fontsize=10, loc="left")
+    volume.set_xlabel(_across_label(a), fontsize=9)
+    volume.set_ylabel("towards the rig, mm", fontsize=9)
+    figure.draw_without_rendering()  # the layout says how high the panel is
+    room = volume.get_window_extent()
+    _draw_volume(volume, a, frame, corners, room.height / room.width)
     figure.savefig(path)
 
 
@@ -187,16 +192,18 @@ def _some_segments(a: Assessment) -> tuple[Points, list[Points]]:
     return origin, list(origin + ends[..., None] * directions[chosen][:, None])
 
 
-def _draw_volume(axis: Axes, a: Assessment, frame: Points, corners: Points) -> None:
-    """Draw the volume from above: rays of C1, and the light sheets one period apart."""
+def _draw_volume(axis: Axes, a: Assessment, frame: Points, corners: Points, shape: float) -> None:
+    """Draw the volume from above: rays of C1, and the light sheets one period apart.
+
+    `shape` is height over width of the panel.
+    """
     plane = frame[[0, 2]]
     reference = a.reference.point_mm
     origin, segments = _some_segments(a)
     shown = np.concatenate([corners, *segments]) if segments or len(corners) else reference[None]
     flat = (shown - reference) @ plane.T
     low, high = flat.min(axis=0), flat.max(axis=0)
-    room = 0.12 * (high - low)
-    low, high = low - room, high + room
+    low, high = _filling(low, high, shape)
     if len(corners):
         hull = (corners - reference) @ plane.T
         axis.add_patch(_outline(hull, facecolor=VOLUME, alpha=0.3, zorder=1))
@@ -207,67 +214,22 @@ def _draw_volume(axis: Axes, a: Assessment, frame: Points, corners: Points) -> N
         phase = across(a.angle, seen[..., 0], seen[..., 1]) / a.period_px
         whole = np.arange(np.ceil(np.nanmin(phase)), np.nanmax(phase))
         if 0 < len(whole) < 400:
-            axis.contour(xs, ys, phase, levels=whole, colors=COLORS["projector"], linewidths=0.7)
+            axis.contour(xs, ys, phase, levels=whole, colors=COLORS["projector"], linewidths=0.7,
+                         linestyles="solid")  # fmt: skip
     for ends in segments:
         start, near, far = ((p - reference) @ plane.T for p in (origin, *ends))
-        entry = near + 0.35 * (high[1] - low[1]) * (start - near) / np.linalg.norm(start - near)
+        entry = near + (high[1] - low[1]) * (start - near) / np.linalg.norm(start - near)
         axis.plot(*np.stack([entry, far]).T, color=COLORS["c1"], linewidth=0.8, zorder=2)
         axis.plot(*np.stack([near, far]).T, color="black", linewidth=2.2, zorder=3)
-    axis.set_xlim(low[0], high[0])
-    axis.set_ylim(low[1], high[1])
-    axis.set_title("the measuring volume from above", fontsize=10, loc="left")
-    axis.set_xlabel(_across_label(a), fontsize=9)
-    axis.set_ylabel("towards the rig, mm", fontsize=9)
+    axis.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
 
 
-def draw_maps(path: Path, a: Assessment, /, *, title: str) -> None:
-    """Draw periods per segment, predicted sigma and ambiguity margin over the pixels of C1."""
-    camera = a.rig.cameras[0]
-    extent = (-0.5, camera.n_cols - 0.5, camera.n_rows - 0.5, -0.5)
-    panels: list[tuple[str, NDArray[Any], str, float | None]] = []
-    if a.projector_periods is not None:
-        panels.append(("periods on the projector's segment", a.projector_periods, "viridis", None))
-    if a.segments is not None:
-        panels.append(("periods on C2's segment", a.segments.periods, "viridis", None))
-    panels.append(("predicted sigma of the points, um", 1000 * a.uncertainty.sigma_mm, "magma",
-                   None))  # fmt: skip
-    if a.margins is not None:
-        slope = np.degrees(a.margins.slopes[-1])
-        words = (
-            f"ambiguity margin over its sigma, slopes to {slope:.0f} deg ({NEEDED_RATIO:g}: safe)"
-        )
-        panels.append((words, a.margins.ratio[-1], "RdYlGn", 2 * NEEDED_RATIO))
-    n_cols = min(2, len(panels))
-    n_rows = -(-len(panels) // n_cols)
-    height = 5.6 * camera.n_rows / camera.n_cols + 0.7
-    figure = Figure(figsize=(6.6 * n_cols, n_rows * height + 0.5), dpi=100, layout="constrained")
-    axes = figure.subplots(n_rows, n_cols, squeeze=False).ravel()
-    for axis, (words, values, colors, top) in zip(axes, panels, strict=False):
-        shown = values[np.isfinite(values)]
-        low, high = (0.0, top) if top else (shown.min(), max(shown.max(), shown.min() + 1e-6))
-        image = axis.imshow(values, cmap=colors, vmin=low, vmax=high, extent=extent,
-                            interpolation="nearest")  # fmt: skip
-        figure.colorbar(image, ax=axis, shrink=0.85, pad=0.01, extend="max" if top else "neither")
-        if words.startswith("periods"):
-            _draw_powers_of_two(axis, values, a.step)
-        axis.set_title(words, fontsize=10, loc="left")
-        axis.set_facecolor("#101216")
-        axis.tick_params(labelsize=8)
-    for axis in axes[len(panels) :]:
-        axis.set_visible(False)
-    figure.suptitle(f"{title}: over the pixels of '{camera.name}'", fontsize=12, x=0.01, ha="left")
-    figure.savefig(path)
-
-
-def _draw_powers_of_two(axis: Axes, periods: Points, step: int) -> None:
-    """Draw lines where one bit more is needed."""
-    top = float(np.nanmax(periods))
-    levels = [2.0**n for n in range(12) if np.nanmin(periods) < 2.0**n < top]
-    if levels:
-        rows, cols = periods.shape
-        lines = axis.contour(step * np.arange(cols), step * np.arange(rows), periods,
-                             levels=levels, colors="white", linewidths=0.8)  # fmt: skip
-        axis.clabel(lines, fmt="%g", fontsize=8)
+def _filling(low: Points, high: Points, shape: float) -> tuple[Points, Points]:
+    """Return limits (2,) around others, with room, for a panel of this height over width."""
+    size = 1.24 * (high - low)
+    size = np.maximum(size, [size[1] / shape, size[0] * shape])
+    middle = (low + high) / 2
+    return middle - size / 2, middle + size / 2
 
 
 def draw_segments(path: Path, a: Assessment, /, *, title: str) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -22,16 +23,19 @@ LEVELS = np.arange(0.0, 10.1, 1.0)
 MAP = "viridis"
 CAMERA = "#c22f2f"
 LABEL_BOX = {"facecolor": "white", "edgecolor": "none", "alpha": 0.85, "pad": 1}
-COLORS = ("#000000", "#8c564b", "#1f77b4", "#d95f02", "#e7298a", "#7f7f7f")
+COLORS = ("#000000", "#8c564b", "#1f77b4", "#d95f02", "#7b3294", "#e7298a", "#7f7f7f")
+ONE, SEVERAL = "#2a9d6f", "#9ecae1"
 CIRCLE_POINTS = 121
-ENOUGH_TEXT = f"{NEEDED_RATIO:g}: enough"
+RATIO_LABEL = f"margin / sigma (grey line: {NEEDED_RATIO:g}, enough)"
+LABEL_PT = 13.0
+"""Points by which a number stands beside its place; two numbers are at least so far apart."""
 
 Array = NDArray[np.float64]
 
 
 def draw_tradeoff(path: Path, found: Optimisation, /, *, title: str) -> None:
     """Draw where the projector could stand, what slopes do, and the price of a margin."""
-    figure = Figure(figsize=(12.5, 11.6), dpi=100, layout="constrained")
+    figure = Figure(figsize=(12.5, 11.8), dpi=100, layout="constrained")
     axes = figure.subplots(2, 2)
     land = found.landscape
     given = math.degrees(found.given.angle)
@@ -42,7 +46,7 @@ def draw_tradeoff(path: Path, found: Optimisation, /, *, title: str) -> None:
     _draw_places(axes[0, 1], found, best)
     price = f"(sigma up to {_percent(found.limits.max_price)})"
     axes[0, 1].set_title(f"best fringe angle of each place {price}", loc="left")
-    label = f"worst margin / sigma, slopes up to {steepest:.0f} deg"
+    label = f"worst margin / sigma, slopes to {steepest:.0f} deg (white: {NEEDED_RATIO:g}, enough)"
     figure.colorbar(image, ax=axes[0], shrink=0.85, pad=0.01, label=label)
     _draw_slopes(axes[1, 0], found)
     _draw_price(axes[1, 1], found)
@@ -51,10 +55,18 @@ def draw_tradeoff(path: Path, found: Optimisation, /, *, title: str) -> None:
         axis.tick_params(labelsize=9)
     handles, labels = axes[1, 0].get_legend_handles_labels()
     figure.legend(
-        handles, labels, loc="outside lower center", ncols=2, fontsize=9, frameon=False,
-        columnspacing=3,
+        handles, labels, loc="outside lower center", ncols=2, fontsize=8, frameon=False,
+        columnspacing=2,
     )  # fmt: skip
     figure.suptitle(title, fontsize=12, x=0.01, ha="left")
+    figure.draw_without_rendering()  # the layout says how far apart places are on paper
+    for axis in axes[0]:
+        spots = [_seen_from_above(np.array(c.tilt), np.array(c.azimuth)) for c in found.candidates]
+        # Turned alone, it stands where the given one does.
+        _number(axis, spots, {i for i, c in enumerate(found.candidates) if c.name == "turned"},
+                _cameras(found))  # fmt: skip
+    _number(axes[1, 1],
+            [np.array([1000 * c.sigma_mm, c.ratio]) for c in found.candidates])  # fmt: skip
     figure.savefig(path)
 
 
@@ -64,9 +76,11 @@ def _percent(price: float) -> str:
 
 def _label(number: int, c: Candidate) -> str:
     tilt, azimuth, angle = np.degrees([c.tilt, c.azimuth, c.angle])
+    slope = c.enough_slope
+    alone = "with a code" if math.isnan(slope) else f"no code to {math.degrees(slope):.0f} deg"
     return (
         f"{number}  {c.name}: tilt {tilt:.1f}, azimuth {azimuth:.1f}, fringes {angle:.1f} deg; "
-        f"{1000 * c.sigma_mm:.1f} um, {c.n_images} images"
+        f"{1000 * c.sigma_mm:.1f} um, {alone}"
     )
 
 
@@ -84,22 +98,18 @@ def _draw_places(axis: Axes, found: Optimisation, ratio: Array) -> TriContourSet
     colors = colormaps[MAP].with_extremes(under="#d9d9d9")
     image = axis.tricontourf(mesh, values, LEVELS, cmap=colors, extend="both")
     axis.tricontour(mesh, values, [NEEDED_RATIO], colors="white", linewidths=1.6)
-    for camera in found.given.rig.cameras:
-        tilt, azimuth = found.stand.angles_of(camera)
-        x, y = _seen_from_above(np.array(tilt), np.array(azimuth))
-        axis.plot(x, y, "o", color=CAMERA, markersize=9)
-        axis.annotate(camera.name, (x, y), xytext=(0, -17), textcoords="offset points", ha="center",
-                      color=CAMERA, fontsize=9, fontweight="bold",
+    for camera, spot in zip(found.given.rig.cameras, _cameras(found), strict=True):
+        axis.plot(*spot, "o", color=CAMERA, markersize=9)
+        axis.annotate(camera.name, tuple(spot), xytext=(0, -17), textcoords="offset points",
+                      ha="center", color=CAMERA, fontsize=9, fontweight="bold",
                       bbox=LABEL_BOX)  # fmt: skip
+        tilt, azimuth = found.stand.angles_of(camera)
         _draw_ring(axis, found, tilt, azimuth, found.limits.min_separation, "--")
-    for number, candidate in enumerate(found.candidates):
+    for candidate in found.candidates:
         if candidate.name == "next to C1" and candidate.rig.projector is not None:
             first = found.given.rig.cameras[0]
             reach = triangulation_angle(first, candidate.rig.projector, found.stand.point_mm)
             _draw_ring(axis, found, *found.stand.angles_of(first), reach, ":")
-        spot = _seen_from_above(np.array(candidate.tilt), np.array(candidate.azimuth))
-        if candidate.name != "turned":  # it stands where the given one does
-            _mark(axis, spot, number)
     edge = 1.08 * math.degrees(found.limits.max_tilt)
     span = max(edge, float(np.abs([*axis.get_xlim(), *axis.get_ylim()]).max()))
     axis.set(xlim=(-span, span), ylim=(-span, span), aspect="equal")
@@ -108,11 +118,40 @@ def _draw_places(axis: Axes, found: Optimisation, ratio: Array) -> TriContourSet
     return image
 
 
-def _mark(axis: Axes, spot: Array, number: int) -> None:
-    axis.plot(*spot, "s", color=COLORS[number % len(COLORS)], markersize=13,
-              markeredgecolor="white", zorder=5)  # fmt: skip
-    axis.annotate(str(number), tuple(spot), ha="center", va="center_baseline", color="white",
-                  fontsize=9, fontweight="bold", zorder=6)  # fmt: skip
+def _cameras(found: Optimisation) -> list[Array]:
+    """Return where the cameras are drawn."""
+    places = [found.stand.angles_of(camera) for camera in found.given.rig.cameras]
+    return [_seen_from_above(np.array(tilt), np.array(azimuth)) for tilt, azimuth in places]
+
+
+def _number(
+    axis: Axes, spots: Sequence[Array], left_out: set[int] | None = None,
+    taken: Sequence[Array] = (),
+) -> None:  # fmt: skip
+    """Mark places with small squares, and set their numbers beside them where there is room."""
+    to_points = axis.transData.transform
+    scale = 72 / axis.figure.dpi
+    marks = [scale * to_points(spot) for spot in spots]
+    used = [scale * to_points(spot) for spot in taken]
+    used += [spot - np.array([0.0, LABEL_PT]) for spot in used]  # their names stand below
+    turns = np.radians([45, 135, -45, -135, 0, 180, 90, -90])
+    ways = [far * LABEL_PT * np.array([np.cos(turn), np.sin(turn)])
+            for far in (1.0, 1.8, 2.6) for turn in turns]  # fmt: skip
+    for number, (spot, mark) in enumerate(zip(spots, marks, strict=True)):
+        if left_out and number in left_out:
+            continue
+        way = max(ways, key=lambda w: min(
+            (min(LABEL_PT, float(np.linalg.norm(mark + w - other))) for other in [*used, *marks]),
+        ))  # fmt: skip
+        used.append(mark + way)
+        color = COLORS[number % len(COLORS)]
+        axis.plot(*spot, "s", color=color, markersize=7, markeredgecolor="white", zorder=5)
+        axis.annotate(
+            str(number), tuple(spot), xytext=tuple(way), textcoords="offset points", ha="center",
+            va="center", color="white", fontsize=9, fontweight="bold", zorder=6,
+            bbox={"boxstyle": "round,pad=0.15", "facecolor": color, "edgecolor": "white"},
+            arrowprops={"arrowstyle": "-", "color": color, "shrinkA": 0, "shrinkB": 2},
+        )  # fmt: skip
 
 
 def _draw_ring(
@@ -140,36 +179,39 @@ def _draw_slopes(axis: Axes, found: Optimisation) -> None:
                   linestyle="-" if candidate.is_allowed else "--",
                   label=_label(number, candidate))  # fmt: skip
     axis.axhline(NEEDED_RATIO, color="#999999", linewidth=1)
-    axis.annotate(ENOUGH_TEXT, (0.01, NEEDED_RATIO), xycoords=("axes fraction", "data"),
-                  ha="left", va="bottom", fontsize=9, color="#666666")  # fmt: skip
     axis.set_ylim(bottom=-0.3)
     axis.set_title("worst margin / sigma of the volume against the slope of surfaces", loc="left")
-    axis.set_xlabel("surfaces slope up to, deg", fontsize=9)
-    axis.set_ylabel("margin / sigma", fontsize=9)
+    axis.set_xlabel("surfaces slope up to, deg (dashed: beyond the limits)", fontsize=9)
+    axis.set_ylabel(RATIO_LABEL, fontsize=9)
     axis.grid(alpha=0.3)
 
 
 def _draw_price(axis: Axes, found: Optimisation) -> None:
+    """Draw the ratio of all that was tried against its price, one period apart from several."""
     land = found.landscape
-    sigma, ratio = 1000 * land.sigma_mm[land.allowed], land.ratio[land.allowed]
-    shown = np.isfinite(ratio) & (ratio > 0) & (sigma < 1.3e3 * land.max_sigma_mm)
-    axis.plot(sigma[shown], ratio[shown], ".", color="#9ecae1", markersize=3)
-    order = np.argsort(sigma[shown])
-    front = np.maximum.accumulate(ratio[shown][order])
-    axis.plot(sigma[shown][order], front, color=colormaps[MAP](0.3), linewidth=1.2,
-              drawstyle="steps-post")  # fmt: skip
+    allowed = land.allowed[:, None] & np.isfinite(land.ratio) & (land.ratio > 0)
+    allowed &= land.sigma_mm < 1.3 * land.max_sigma_mm
+    single = land.reach < land.max_reach
+    for own, color, words in ((single, ONE, "below one period"), (~single, SEVERAL, "more")):
+        sigma, ratio = 1000 * land.sigma_mm[allowed & own], land.ratio[allowed & own]
+        axis.plot(sigma, ratio, ".", color=color, markersize=3)
+        order = np.argsort(sigma)
+        axis.plot(sigma[order], np.maximum.accumulate(ratio[order]), color=color, linewidth=1.4,
+                  drawstyle="steps-post", label=words)  # fmt: skip
     axis.axhline(NEEDED_RATIO, color="#999999", linewidth=1)
     axis.axvline(1000 * land.max_sigma_mm, color="#999999", linewidth=1, linestyle="--")
-    axis.annotate(f"{_percent(found.limits.max_price)} of the given",
-                  (1000 * land.max_sigma_mm, 0.3), xycoords=("data", "axes fraction"),
-                  xytext=(5, 0), textcoords="offset points", ha="left", va="center", rotation=90,
-                  fontsize=9, color="#666666")  # fmt: skip
-    for number, candidate in enumerate(found.candidates):
-        _mark(axis, np.array([1000 * candidate.sigma_mm, candidate.ratio]), number)
+    sigmas = [1000 * c.sigma_mm for c in found.candidates]
+    low, high = min(sigmas), max(*sigmas, 1000 * land.max_sigma_mm)
+    axis.set_xlim(low - 0.06 * (high - low), high + 0.12 * (high - low))
+    top = max([c.ratio for c in found.candidates] + [NEEDED_RATIO])
+    axis.set_ylim(-1.2, 1.15 * top + 1)
+    axis.legend(loc="upper left", fontsize=9, title="segments, places tried (first order)",
+                title_fontsize=9, framealpha=0.9, ncols=2)  # fmt: skip
     steepest = math.degrees(float(found.given.margins.slopes[-1]))
-    axis.set_ylim(bottom=-0.6)
-    axis.set_title(f"price: every place and fringe angle tried, slopes up to {steepest:.0f} deg",
-                   loc="left")  # fmt: skip
-    axis.set_xlabel("predicted standard deviation of the points (median), um", fontsize=9)
-    axis.set_ylabel("margin / sigma", fontsize=9)
+    axis.set_title(f"price of a margin, slopes up to {steepest:.0f} deg", loc="left")
+    axis.set_xlabel(
+        "predicted standard deviation of the points (median), um; dashed: "
+        f"{_percent(found.limits.max_price)} of the given", fontsize=9,
+    )  # fmt: skip
+    axis.set_ylabel(RATIO_LABEL, fontsize=9)
     axis.grid(alpha=0.3)
