@@ -15,6 +15,7 @@ from fringe3d.correspond import (
     match_both_directions,
     match_cameras,
     match_projector,
+    place_lost,
 )
 from fringe3d.decode import CameraPhases, has_mirrored_neighbours
 from fringe3d.errors import MethodError
@@ -185,6 +186,8 @@ def _match_three(
         volume,
         depths_mm=depths_of_orders(chosen.phases, views.camera1, projector, chosen.half_px),
     )
+    if method != "m1" and not options.strict:  # M1, the reference, rests on the cameras alone
+        matches = place_lost(matches, chosen, views.camera1, views.camera2, projector)
     good = matches.rejection == 0
     matches = replace(
         matches,

@@ -2,6 +2,7 @@
 
 from fringe3d.correspond.both_directions import match_both_directions
 from fringe3d.correspond.candidates import FIT_SIGMA, ChosenOrders, choose_orders
+from fringe3d.correspond.placement import place_lost
 from fringe3d.correspond.projector import (
     GUARD_PX,
     depths_of_orders,
@@ -29,6 +30,7 @@ __all__ = [
     "match_both_directions",
     "match_cameras",
     "match_projector",
+    "place_lost",
     "resolve_orders",
     "rivals",
     "twin_share",

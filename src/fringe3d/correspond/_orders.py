@@ -18,6 +18,9 @@ SHEET_TOLERANCE_PX = 1e-5
 MODEL_ERROR = 0.0015
 """Periods; what remains of harmonics and interpolation where everything else is perfect."""
 
+OTHER_MODEL_ERROR = 0.005
+"""The same between fringes of different periods, whose harmonics do not cancel."""
+
 DEPTH_STEP = 1e-4
 """Part of the depth by which a point is moved to find its speed in an image."""
 
@@ -119,20 +122,27 @@ def _show(t, i, order, ray1, ray2, axis, period, first, shown):  # type: ignore[
 
 
 @njit(cache=True, error_model="numpy")
-def _second_cost(t, i, per_turn, sigma1, ray1, second, cal_p):  # type: ignore[no-untyped-def]
-    """Return the cost of what the projector shows, in the second direction, at a point of a ray."""
+def _other_costs(t, i, per_turn, sigma1, ray1, others):  # type: ignore[no-untyped-def]
+    """Return what other fringes have against a point of a ray, squared deviations.
+
+    Nothing hides from the projector what it lights: phases there must be those of C1.
+    """
     base_p, along_p, lens_p = ray1
-    phase1, own_sigma1, axis, period = second
-    if math.isnan(phase1[i]):
-        return 0.0
-    w = _across(base_p, along_p[i], t, lens_p, axis)
-    w1 = _across(base_p, along_p[i], t + DEPTH_STEP * t, lens_p, axis)
-    drift = (w1 - w) / (DEPTH_STEP * t) * per_turn / period  # periods here for one of the first
-    turns = w / period - phase1[i] / TWO_PI
-    turns -= math.floor(turns + 0.5)
-    noise = (own_sigma1[i] ** 2 + (drift * sigma1) ** 2) / TWO_PI**2
-    calibration = (1 + drift * drift) * (cal_p / period) ** 2
-    return turns * turns / (noise + calibration + MODEL_ERROR**2)
+    phases, sigmas, axes, periods, calibrations = others
+    total = 0.0
+    for j in range(len(periods)):
+        phase, period = phases[j, i], periods[j]
+        if math.isnan(phase):
+            continue
+        w = _across(base_p, along_p[i], t, lens_p, axes[j])
+        w1 = _across(base_p, along_p[i], t + DEPTH_STEP * t, lens_p, axes[j])
+        drift = (w1 - w) / (DEPTH_STEP * t) * per_turn / period  # periods here for one of the first
+        turns = w / period - phase / TWO_PI
+        turns -= math.floor(turns + 0.5)
+        noise = (sigmas[j, i] ** 2 + (drift * sigma1) ** 2) / TWO_PI**2
+        calibration = (1 + drift * drift) * (calibrations[j] / period) ** 2
+        total += turns * turns / (noise + calibration + OTHER_MODEL_ERROR**2)
+    return total
 
 
 @njit(cache=True, error_model="numpy")
@@ -169,15 +179,15 @@ def list_candidates(ends, guard, class1, task, orders, shown, extras, is_inside)
 
     ends: two (n, 2) mm, parts of the viewing rays, of the wide segment and of the volume; guard
     (n,): projector px by which a candidate may lie beyond; class1 (n,): its class of orders. task =
-    (ray1, ray2, axis, period, first, second, cal_p): ray1 = (base (3,), along (n, 3), lens) in the
+    (ray1, ray2, axis, period, first, others): ray1 = (base (3,), along (n, 3), lens) in the
     projector's frame, ray2 in that of C2; axis (2,), period: of the fringes; first = (phase1 (n,),
-    sigma1 (n,), phase2, sigma2, class2 (maps), class_of_order, first_order); second = (phase1,
-    sigma1, axis, period) of the other direction, empty arrays for none; cal_p: px in the projector.
+    sigma1 (n,), phase2, sigma2, class2 (maps), class_of_order, first_order); others = (phases,
+    sigmas (q, n), axes (q, 2), periods, calibrations (q,) px) of other fringes, empty for none.
 
-    Writes orders (rising), what C2 shows (n, m, N_SHOWN), the squared deviations of the second
-    direction and whether the candidate lies in the volume, (n, m); m bounds their number.
+    Writes orders (rising), what C2 shows (n, m, N_SHOWN), the squared deviations of the other
+    fringes and whether the candidate lies in the volume, (n, m); m bounds their number.
     """
-    ray1, ray2, axis, period, first, second, cal_p = task
+    ray1, ray2, axis, period, first, others = task
     wide_ends, inner_ends = ends
     class_of_order, first_order = first[5], first[6]
     for i in prange(len(class1)):
@@ -193,10 +203,7 @@ def list_candidates(ends, guard, class1, task, orders, shown, extras, is_inside)
             t = _sheet_depth(ray1[0], ray1[1][i], (order + turns) * period, ray1[2], axis)
             if t > 0:
                 per_turn = _show(t, i, order, ray1, ray2, axis, period, first, shown[i, place])
-                if len(second[0]) > 0:
-                    extras[i, place] = _second_cost(
-                        t, i, per_turn, first[1][i], ray1, second, cal_p
-                    )
+                extras[i, place] = _other_costs(t, i, per_turn, first[1][i], ray1, others)
                 orders[i, place] = order
                 is_inside[i, place] = first_inside <= order <= last_inside
                 place += 1

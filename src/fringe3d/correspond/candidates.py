@@ -16,6 +16,7 @@ from fringe3d.correspond._orders import DIFFERENCE, RATIO
 from fringe3d.correspond.solving import coarse_stride, rivals, solve
 from fringe3d.correspond.visibility import takes_foreign_light
 from fringe3d.correspond.weighing import (
+    TWO_PI,
     Choice,
     Task,
     TwoViews,
@@ -51,6 +52,8 @@ class ChosenOrders:
     phases : PhaseMap of C1, absolute; what has no order is rejected with its reason
     probability : (row, col) float32; of the order among all candidates; NaN where rejected
     half_px : (row, col) float64, projector px; how far around its phase C2 sees the point
+    place_px, place_sigma_px : (row, col) float32, projector px; where across the fringes C1's phase
+        and the bias expect the point, less its phase, and the standard deviation
     residual : (row, col) float32, periods; phase that C2 sees at the point minus that of C1, the
         calibration's bias included
     sigma : (row, col) float32, periods; predicted standard deviation of `residual` less the bias
@@ -61,6 +64,8 @@ class ChosenOrders:
     phases: PhaseMap
     probability: NDArray[np.float32]
     half_px: NDArray[np.float64]
+    place_px: NDArray[np.float32]
+    place_sigma_px: NDArray[np.float32]
     residual: NDArray[np.float32]
     sigma: NDArray[np.float32]
     bias: CalibrationBias
@@ -159,15 +164,21 @@ def _chosen(
     # C2 may see the phase change many times as fast as the projector: a period there must do.
     sigma = task.sigma(chosen, bias)
     seen = np.clip(np.abs(difference) + 4 * sigma, *SEARCH_TURNS)
-    window = np.minimum(seen / np.maximum(np.abs(ratio), LEAST_RATIO), 0.5)
-    probability, residual, sigma = (
+    rate = np.copysign(np.maximum(np.abs(ratio), LEAST_RATIO), ratio)
+    window = np.minimum(seen / np.abs(rate), 0.5)
+    expected, spread = task.expected(chosen, bias)
+    noise = task.first[1] / TWO_PI
+    probability, residual, sigma, place, place_sigma = (
         np.where(phases.rejection == 0, _spread(values, valid, fill=np.nan), np.nan)
-        for values in (chosen.probability, difference, sigma)
-    )
+        for values in (chosen.probability, difference, sigma, -expected / rate,
+                       np.hypot(noise, spread / rate))
+    )  # fmt: skip
     return ChosenOrders(
         phases=phases,
         probability=probability.astype(np.float32),
         half_px=_spread(window * phases1.period_px, valid, fill=np.nan),
+        place_px=(place * phases1.period_px).astype(np.float32),
+        place_sigma_px=(place_sigma * phases1.period_px).astype(np.float32),
         residual=residual.astype(np.float32),
         sigma=sigma.astype(np.float32),
         bias=bias,

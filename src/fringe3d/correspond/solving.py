@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from fringe3d.correspond._aggregate import STEP_PENALTY
 from fringe3d.correspond.bias import LEAST_PART, LEAST_PIXELS, PATCH_PX, joined, learn_bias
-from fringe3d.correspond.visibility import CONTINUOUS, absolute_turns, surfaces
+from fringe3d.correspond.surfaces import CONTINUOUS, absolute_turns, made_whole, surfaces
 from fringe3d.correspond.weighing import (
     CLEAR,
     EXPECTED_CALIBRATION_PX,
@@ -100,14 +100,15 @@ def solve(task: Task, bias: CalibrationBias | None) -> tuple[Choice, Calibration
 
     One start: for codes and segments that leave little choice.
     """
-    if bias is not None:
-        return task.decide(bias), bias
+    if bias is None:
+        bias = _learnt_once(task)
+    chosen = task.decide(bias)
+    return (made_whole(task, chosen) if task.together else chosen), bias
+
+
+def _learnt_once(task: Task) -> CalibrationBias:
     start = task.frame.constant((0.0, 0.0), scatter_px=EXPECTED_CALIBRATION_PX)
-    chosen = task.decide(start)
-    learnt = _learnt([task], [chosen], None)
-    if learnt is None:
-        return chosen, start
-    return task.decide(learnt), learnt
+    return _learnt([task], [task.decide(start)], None) or start
 
 
 def rivals(tasks: Sequence[Task], /) -> Rivals | None:

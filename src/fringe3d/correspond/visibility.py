@@ -4,17 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
+from fringe3d.correspond.surfaces import surfaces
 from fringe3d.correspond.weighing import Choice, Task
 from fringe3d.geometry import project, rays, sheet_crossing
 from fringe3d.model import NO_ORDER, Device
 
 Bools = NDArray[np.bool_]
-
-CONTINUOUS = 0.5
-"""Turns of absolute phase between neighbours of one surface."""
 
 APART = 0.5
 """Of the way that a ray of C1 goes in one period; what lies closer is one surface."""
@@ -61,31 +57,6 @@ def takes_foreign_light(task: Task, chosen: Choice, trusted: Bools, projector: D
     share = np.bincount(surface, contested) / np.maximum(sizes, 1)
     wrong[claims] = share[surface] > CONTESTED
     return wrong
-
-
-def absolute_turns(task: Task, order: NDArray[np.int32], where: Bools, /) -> NDArray[np.float64]:
-    """Return the absolute phase on the task's grid, turns; NaN but where (n,) bool."""
-    turns = np.full(task.valid.shape, np.nan)
-    turns[task.valid] = np.where(where, order + task.first[0] / (2 * np.pi), np.nan)
-    return turns
-
-
-def surfaces(task: Task, order: NDArray[np.int32], claims: Bools, /) -> NDArray[np.intp]:
-    """Return the number of the surface of each claiming pixel: neighbours of continuous phase."""
-    turns = absolute_turns(task, order, claims)
-    number = np.full(task.valid.shape, -1)
-    number[np.isfinite(turns)] = np.arange(int(claims.sum()))
-    pairs = []
-    for here, there in (
-        (np.s_[:, :-1], np.s_[:, 1:]),
-        (np.s_[:-1], np.s_[1:]),
-    ):
-        joined = np.abs(turns[here] - turns[there]) < CONTINUOUS
-        pairs.append(np.stack([number[here][joined], number[there][joined]]))
-    start, end = np.concatenate(pairs, axis=1)
-    n = int(claims.sum())
-    graph = coo_array((np.ones(len(start), bool), (start, end)), shape=(n, n))
-    return np.asarray(connected_components(graph, directed=False)[1], np.intp)
 
 
 def _cells(light: NDArray[np.float64], task: Task, claims: Bools) -> tuple[NDArray[np.intp], int]:

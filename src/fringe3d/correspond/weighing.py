@@ -13,7 +13,7 @@ from fringe3d.correspond.bias import Evidence, Frame, frame_of
 from fringe3d.correspond.projector import OUTSIDE_PART, guard_px
 from fringe3d.geometry import depth_interval, pixel_grid, project, rays, sheet_crossing
 from fringe3d.geometry.projection import lens_of
-from fringe3d.model import NO_ORDER, CalibrationBias, Device, MeasuringVolume, PhaseMap
+from fringe3d.model import NO_ORDER, CalibrationBias, Device, MeasuringVolume, PhaseMap, WrappedPhaseMap
 from fringe3d.model.bias import terms_of
 from fringe3d.patterns import across
 
@@ -27,12 +27,13 @@ LARGEST_COST = HIDDEN_COST = 1.2
 """Half squared deviations of one pixel, among its neighbours: more is an edge or a reflection.
 Something that hides one pixel from C2 hides its neighbours, too: it must not cost more."""
 
-LARGEST_EXTRA = 6.0
-"""The same for the second direction, which nothing hides from the projector."""
 
 UNSEEN_COST = 12.0
 """Squared deviations, where pixels decide alone: a candidate that C2 does not see is as good as one
 that it sees 3.5 standard deviations off."""
+
+LARGEST_EXTRA = 6.0
+"""The same for other fringes, whose light nothing hides from the projector."""
 
 MOST_SIGMA = 1 / 12
 """Turns; residuals that are less certain reject nothing: six deviations are half a turn."""
@@ -50,7 +51,7 @@ BIAS_SAMPLE, BIAS_DEPTHS = 2000, 3
 """Rays and depths at which a smooth displacement is carried over to the other camera."""
 
 PROJECTOR_CALIBRATION_PX = 0.5
-"""Projector px, in the second fringe direction."""
+"""Projector px, in a second fringe direction."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -62,6 +63,7 @@ class TwoViews:
     camera1, camera2 : Device
     phases1, phases2 : PhaseMap of the fringes that mark the points
     second1, second2 : PhaseMap or None; of fringes of another direction
+    periods1, periods2 : tuple of WrappedPhaseMap; of other periods of the first direction
     """
 
     camera1: Device
@@ -70,6 +72,8 @@ class TwoViews:
     phases2: PhaseMap
     second1: PhaseMap | None = None
     second2: PhaseMap | None = None
+    periods1: tuple[WrappedPhaseMap, ...] = ()
+    periods2: tuple[WrappedPhaseMap, ...] = ()
 
     @property
     def second(self) -> tuple[PhaseMap, PhaseMap] | None:
@@ -80,23 +84,66 @@ class TwoViews:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Choice:
-    """The order chosen for each valid pixel, (n,) each, and what C2 shows of it.
+class Candidates:
+    """The orders on each pixel's segment, (n, m), rising, and what the devices show of them."""
 
-    `cost` is the squared residual over its variance, NaN where C2 does not see the point; `shown`
-    (n, N_SHOWN) as in `_orders`.
+    orders: NDArray[np.int32]
+    shown: NDArray[np.float32]
+    extras: NDArray[np.float32]
+    is_inside: NDArray[np.bool_]
+
+    def place_of(
+        self, orders: NDArray[Any], index: NDArray[Any], /
+    ) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
+        """Return at which place the pixels `index` list given orders, and whether they do."""
+        hits = self.orders[index] == orders[:, None]
+        return hits.argmax(axis=1), hits.any(axis=1)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Choice:
+    """Which candidate is chosen for each valid pixel.
+
+    Parameters
+    ----------
+    candidates : Candidates
+    costs : (n, m) float; squared residual over its variance, NaN where C2 does not see the point
+    place : (n,) int; of the one chosen
+    probability : (n,) float
     """
 
-    order: NDArray[np.int32]
+    candidates: Candidates
+    costs: NDArray[np.float32]
+    place: NDArray[np.intp]
     probability: NDArray[np.float64]
-    cost: NDArray[np.float64]
-    is_inside: NDArray[np.bool_]
-    shown: NDArray[np.float32]
+
+    @property
+    def order(self) -> NDArray[np.int32]:
+        """Return the chosen orders, (n,)."""
+        return self._at(self.candidates.orders)
+
+    @property
+    def cost(self) -> NDArray[np.float64]:
+        """Return what C2 has against them, (n,); NaN where it does not see the point."""
+        return self._at(self.costs).astype(np.float64)
+
+    @property
+    def is_inside(self) -> NDArray[np.bool_]:
+        """Tell whether the points lie in the volume, (n,)."""
+        return self._at(self.candidates.is_inside)
+
+    @property
+    def shown(self) -> NDArray[np.float32]:
+        """Return what C2 shows of them, (n, N_SHOWN) as in `_orders`."""
+        return self._at(self.candidates.shown)
 
     @property
     def depth_mm(self) -> NDArray[np.float64]:
         """Return the distance along the ray, (n,)."""
         return self.shown[:, _orders.DEPTH].astype(np.float64)
+
+    def _at(self, table: NDArray[Any]) -> NDArray[Any]:
+        return np.asarray(table[np.arange(len(self.place)), self.place])
 
     def clear(self, pixels: NDArray[np.float64], where: NDArray[Any], /) -> Evidence:
         """Return what some of the pixels tell of the calibration."""
@@ -108,16 +155,6 @@ class Choice:
             gradient=shown[:, [_orders.GRADIENT_X, _orders.GRADIENT_Y]],
             variance=shown[:, _orders.VARIANCE],
         )
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Candidates:
-    """The orders on each pixel's segment, (n, m), and what the devices show of them."""
-
-    orders: NDArray[np.int32]
-    shown: NDArray[np.float32]
-    extras: NDArray[np.float32]
-    is_inside: NDArray[np.bool_]
 
 
 class Task:
@@ -177,13 +214,21 @@ class Task:
     def _of(self, image: NDArray[Any]) -> NDArray[Any]:
         return np.ascontiguousarray(image[self.grid][self.valid])
 
-    def _second(self) -> tuple[object, ...]:
-        one = self.views.second1
-        if one is None:
-            none = np.empty(0, np.float32)
-            return none, none, np.zeros(2), 1.0
-        axis = np.array([np.cos(one.angle), np.sin(one.angle)])
-        return self._of(one.phase), self._of(one.phase_std), axis, one.period_px
+    def _others(self) -> tuple[NDArray[Any], ...]:
+        """Return the other phases of C1 and their sigma (q, n), and of each the direction (q, 2),
+        the period and the projector's calibration error, px (q,)."""
+        second, periods = self.views.second1, self.views.periods1
+        # The same sheet lies where it lies in every period: only other directions are calibrated.
+        maps: list[tuple[WrappedPhaseMap | PhaseMap, float]] = [(m, 0.0) for m in periods]
+        maps += [] if second is None else [(second, PROJECTOR_CALIBRATION_PX)]
+        shape = len(maps), len(self.pixels)
+        return (
+            np.array([self._of(m.phase) for m, _ in maps], np.float32).reshape(shape),
+            np.array([self._of(m.phase_std) for m, _ in maps], np.float32).reshape(shape),
+            np.array([(np.cos(m.angle), np.sin(m.angle)) for m, _ in maps]).reshape(-1, 2),
+            np.array([m.period_px for m, _ in maps]),
+            np.array([error for _, error in maps]),
+        )
 
     def _listed(self) -> Candidates:
         phases1, count = self.views.phases1, np.zeros(len(self.pixels), np.int32)
@@ -199,8 +244,7 @@ class Task:
             extras=np.zeros(shape, np.float32),
             is_inside=np.zeros(shape, bool),
         )
-        task = (self.ray_p, self.ray_2, self.axis, phases1.period_px, self.first, self._second(),
-                PROJECTOR_CALIBRATION_PX)  # fmt: skip
+        task = (self.ray_p, self.ray_2, self.axis, phases1.period_px, self.first, self._others())
         _orders.list_candidates(
             (self.wide_ends, self.ends), self.guard, classes, task, listed.orders, listed.shown,
             listed.extras, listed.is_inside,
@@ -219,20 +263,26 @@ class Task:
         weights = np.exp(-(energy - energy.min(axis=1, keepdims=True)).astype(np.float64))
         weights[orders == NO_ORDER] = 0
         total = weights.sum(axis=1)
-        here = np.arange(len(orders)), best
         return Choice(
-            order=orders[here],
+            candidates=self.listed,
+            costs=costs,
+            place=best,
             probability=np.divide(1, total, out=np.full(len(total), np.nan), where=total > 0),
-            cost=costs[here].astype(np.float64),
-            is_inside=self.listed.is_inside[here],
-            shown=self.listed.shown[here],
         )
 
     def sigma(self, chosen: Choice, bias: CalibrationBias) -> NDArray[np.float64]:
         """Return the standard deviation of the chosen orders' residuals, (n,), turns."""
-        shown = chosen.shown.astype(np.float64)
-        steepness = np.hypot(shown[:, _orders.GRADIENT_X], shown[:, _orders.GRADIENT_Y])
-        return np.asarray(np.sqrt(shown[:, _orders.VARIANCE] + (bias.scatter_px * steepness) ** 2))
+        _, scatter = self.expected(chosen, bias)
+        return np.asarray(np.sqrt(chosen.shown[:, _orders.VARIANCE] + scatter**2))
+
+    def expected(
+        self, chosen: Choice, bias: CalibrationBias
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return the residuals that the bias lets expect, and its scatter, (n,) each, turns."""
+        gradient = chosen.shown[:, [_orders.GRADIENT_X, _orders.GRADIENT_Y]].astype(np.float64)
+        moved = bias.displacement(self.pixels, chosen.depth_mm)
+        scatter = bias.scatter_px * np.linalg.norm(gradient, axis=1)
+        return (gradient * moved).sum(axis=1), scatter
 
     def _energy(self, costs: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return what speaks against each candidate, half squared deviations, (n, m)."""
@@ -274,6 +324,8 @@ def swapped(views: TwoViews, /) -> TwoViews:
         phases2=views.phases1,
         second1=views.second2,
         second2=views.second1,
+        periods1=views.periods2,
+        periods2=views.periods1,
     )
 
 

@@ -1,0 +1,196 @@
+"""Surfaces: neighbours of continuous phase. Each has one fringe order, as a whole."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import breadth_first_order, connected_components, minimum_spanning_tree
+
+from fringe3d.correspond.weighing import CLEAR, Choice, Task
+from fringe3d.model import NO_ORDER
+
+Bools = NDArray[np.bool_]
+Ints = NDArray[np.int64]
+
+TWO_PI = 2 * np.pi
+
+CONTINUOUS = 0.5
+"""Turns of absolute phase between neighbours of one surface."""
+
+SMOOTH_RAD, SMOOTH_SIGMA = 0.1, 3.0
+"""Second difference of the phase on a surface: curvature, and noise."""
+
+STEEPEST_RAD = 2.0
+"""Between neighbours; beyond, the phase may as well fall as rise."""
+
+LEAST_SEAM, SEAM_PART = 4, 0.5
+"""Pixels of a border, and part of it, across which the phase is smooth. Where one thing stands in
+front of another this happens to a few pixels in a hundred."""
+
+FIT_COST = 9.0
+"""Squared deviations of pixels that go with an order."""
+
+FEW = 20
+"""Pixels of a surface that tell less than its border."""
+
+
+def absolute_turns(task: Task, order: NDArray[np.int32], where: Bools, /) -> NDArray[np.float64]:
+    """Return the absolute phase on the task's grid, turns; NaN but where (n,) bool."""
+    turns = np.full(task.valid.shape, np.nan)
+    turns[task.valid] = np.where(where, order + task.first[0] / TWO_PI, np.nan)
+    return turns
+
+
+def surfaces(task: Task, order: NDArray[np.int32], claims: Bools, /) -> NDArray[np.intp]:
+    """Return the number of the surface of each claiming pixel: neighbours of continuous phase."""
+    turns = absolute_turns(task, order, claims)
+    number = np.full(task.valid.shape, -1)
+    number[np.isfinite(turns)] = np.arange(int(claims.sum()))
+    pairs = []
+    for here, there in _neighbours():
+        joined = np.abs(turns[here] - turns[there]) < CONTINUOUS
+        pairs.append(np.stack([number[here][joined], number[there][joined]]))
+    start, end = np.concatenate(pairs, axis=1)
+    n = int(claims.sum())
+    graph = coo_array((np.ones(len(start), bool), (start, end)), shape=(n, n))
+    return np.asarray(connected_components(graph, directed=False)[1], np.intp)
+
+
+def made_whole(task: Task, chosen: Choice, /) -> Choice:
+    """Give parts of one surface that were given different orders the order of most of it.
+
+    Evidence is gathered along lines, and systematic errors add up on them: where wrong orders fit
+    nearly as well, a line may leave its order in the middle of a smooth surface. A true depth edge
+    does not go unseen along a border: the phase on both sides would have to agree by chance.
+
+    Parameters
+    ----------
+    task : Task
+    chosen : Choice
+
+    Returns
+    -------
+    Choice; parts that moved have the share of the votes for their order as probability. A part
+        stays where it is if what C2 shows refutes the other order.
+    """
+    known = chosen.order != NO_ORDER
+    if not known.any():
+        return chosen
+    part = surfaces(task, chosen.order, known)
+    n = int(part.max()) + 1
+    whole, level = _levels(*_seams(task, chosen.order, known, part), n)
+    clear = (chosen.probability > CLEAR) & np.isfinite(chosen.cost)
+    votes = np.bincount(part[clear[known]], minlength=n)
+    wanted, share = _elected(whole, level, votes)
+    index = np.flatnonzero(known)
+    moved = index[wanted[part] != level[part]]
+    if not len(moved):
+        return chosen
+    number = np.full(len(known), -1)
+    number[known] = part
+    shift = (wanted - level)[number[moved]]
+    place, found = chosen.candidates.place_of(chosen.order[moved] + shift, moved)
+    fits = chosen.cost[moved] <= FIT_COST
+    still = fits & found & (chosen.costs[moved, place] <= FIT_COST)
+    n_fit, n_still = (np.bincount(number[moved], w, n) for w in (fits, still))
+    goes = found & ((n_still >= n_fit / 2) | (n_fit < FEW))[number[moved]]
+    moved, place = moved[goes], place[goes]
+    places, probability = chosen.place.copy(), chosen.probability.copy()
+    places[moved] = place
+    probability[moved] = share[number[moved]]
+    return replace(chosen, place=places, probability=probability)
+
+
+def _neighbours() -> tuple[tuple[tuple[slice, ...], tuple[slice, ...]], ...]:
+    """Return where the left and right, and the upper and lower of two neighbours are."""
+    return (np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1, :], np.s_[1:, :])
+
+
+def _seams(
+    task: Task, order: NDArray[np.int32], known: Bools, part: NDArray[np.intp]
+) -> tuple[Ints, Ints, Ints, Ints]:
+    """Return pairs of parts with a smooth border, how many orders the second one is higher than
+    the first would continue into it, and the length of the border, px; (n,) each."""
+    parts = np.full(task.valid.shape, -1, np.int64)
+    numbers = np.full(len(known), -1, np.int64)
+    numbers[known] = part
+    parts[task.valid] = numbers
+    turns = absolute_turns(task, order, known)
+    found = []
+    for axis, (here, there) in zip((1, 0), _neighbours(), strict=True):
+        rise, smooth = _rise(task, axis)
+        border = (parts[here] >= 0) & (parts[there] >= 0) & (parts[here] != parts[there])
+        higher = np.rint((turns[there] - turns[here] - rise / TWO_PI)[border]).astype(np.int64)
+        first, second = parts[here][border], parts[there][border]
+        sign = np.where(first < second, 1, -1)
+        found.append(np.stack([np.minimum(first, second), np.maximum(first, second),
+                               sign * higher, smooth[border]]))  # fmt: skip
+    first, second, higher, smooth_ = np.concatenate(found, axis=1)
+    pairs, pair = np.unique(np.stack([first, second]), axis=1, return_inverse=True)
+    in_all = np.bincount(pair.ravel())
+    kinds, length = np.unique(
+        np.stack([pair.ravel(), higher])[:, smooth_ == 1], axis=1, return_counts=True
+    )
+    long = (length >= LEAST_SEAM) & (length > SEAM_PART * in_all[kinds[0]])
+    first, second = pairs[:, kinds[0, long]]
+    return first, second, kinds[1, long], length[long]
+
+
+def _rise(task: Task, axis: int) -> tuple[NDArray[np.float32], Bools]:
+    """Return the phase between neighbours, wrapped, rad, and whether it is that of one surface."""
+    rise = _wrapped(np.diff(task.phase, axis=axis))
+    bend = np.abs(_wrapped(np.diff(rise, axis=axis)))
+    before, after = (
+        np.pad(bend, [pad if a == axis else (0, 0) for a in (0, 1)], constant_values=np.nan)
+        for pad in ((1, 0), (0, 1))
+    )
+    sigma = np.full(task.valid.shape, np.nan)
+    sigma[task.valid] = task.first[1]
+    here, there = _neighbours()[1 - axis]
+    noise = np.sqrt(6) * np.maximum(sigma[here], sigma[there])
+    smooth = np.fmax(before, after) < np.hypot(SMOOTH_RAD, SMOOTH_SIGMA * noise)
+    return rise, np.asarray(smooth & (np.abs(rise) < STEEPEST_RAD))
+
+
+def _wrapped(angle: NDArray[np.float32]) -> NDArray[np.float32]:
+    return np.asarray(angle - TWO_PI * np.rint(angle / TWO_PI), np.float32)
+
+
+def _levels(first: Ints, second: Ints, higher: Ints, length: Ints, n: int) -> tuple[Ints, Ints]:
+    """Return the surface of each of n parts, and by how many orders it is off the surface's first.
+
+    Where borders contradict each other the longest hold: they make up the spanning tree.
+    """
+    ends = (first, second)
+    tree = minimum_spanning_tree(coo_array((1.0 / length, ends), shape=(n, n)))
+    _, whole = connected_components(tree, directed=False)
+    steps = coo_array((higher, ends), shape=(n, n)).tocsr()
+    steps = steps - steps.T
+    # One more node holds all surfaces together.
+    roots = np.unique(whole, return_index=True)[1]
+    edges = tree.tocoo()
+    start = np.concatenate([edges.row, np.full(len(roots), n)])
+    end = np.concatenate([edges.col, roots])
+    graph = coo_array((np.ones(len(start)), (start, end)), shape=(n + 1, n + 1)).tocsr()
+    order, former = breadth_first_order(graph, n, directed=False)
+    level = np.zeros(n, np.int64)
+    for node in order[1:]:
+        if former[node] != n:
+            level[node] = level[former[node]] + steps[former[node], node]
+    return np.asarray(whole, np.int64), level
+
+
+def _elected(whole: Ints, level: Ints, votes: Ints) -> tuple[Ints, NDArray[np.float64]]:
+    """Return the level that most pixels of each part's surface have, and their share."""
+    kinds, kind = np.unique(np.stack([whole, level]), axis=1, return_inverse=True)
+    votes_of = np.bincount(kind.ravel(), votes)
+    order = np.argsort(votes_of, kind="stable")
+    wanted = np.zeros(int(whole.max()) + 1, np.int64)
+    most = np.zeros(len(wanted))
+    wanted[kinds[0, order]] = kinds[1, order]
+    most[kinds[0, order]] = votes_of[order]
+    share = most / np.maximum(np.bincount(whole, votes), 1)
+    return wanted[whole], share[whole]

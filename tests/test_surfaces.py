@@ -1,0 +1,146 @@
+"""Parts of one surface get one fringe order; parts that a true edge divides do not."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from fringe3d.correspond import _orders
+from fringe3d.correspond.surfaces import made_whole
+from fringe3d.correspond.weighing import Candidates, Choice
+from fringe3d.model import NO_ORDER
+
+Floats = NDArray[np.float64]
+
+SHAPE = (60, 80)
+LABELS = np.arange(-4, 5)
+"""Orders of the candidates, against the true one."""
+
+ROWS, COLS = np.mgrid[: SHAPE[0], : SHAPE[1]]
+FLAT = 0.037 * COLS + 0.021 * ROWS + 20.0
+"""Turns: three periods over the image, wraps at a slant."""
+
+PATCH = (ROWS > 20) & (ROWS < 40) & (COLS > 50)
+RAGGED = PATCH & ~((ROWS + COLS) % 3 == 0) | (PATCH & (COLS > 54))
+
+
+def task_of(turns: Floats, *, std: float = 0.01, valid: Any = None) -> Any:
+    phase = 2 * np.pi * (turns - np.floor(turns))
+    phase = np.where(phase > np.pi, phase - 2 * np.pi, phase).astype(np.float32)
+    valid = np.ones(turns.shape, bool) if valid is None else valid
+    n = int(valid.sum())
+    return SimpleNamespace(
+        phase=np.where(valid, phase, np.nan).astype(np.float32),
+        valid=valid,
+        first=(phase[valid], np.full(n, std, np.float32)),
+    )
+
+
+def choice_of(task: Any, turns: Floats, off: Any, cost: Any = 0.0) -> Choice:
+    """Return a choice that is wrong by `off` orders; costs (n, label) or one for all."""
+    valid = task.valid
+    true = np.rint(turns - task.phase.astype(np.float64) / (2 * np.pi))[valid].astype(np.int32)
+    n = len(true)
+    orders = true[:, None] + LABELS.astype(np.int32)
+    shown = np.zeros((n, len(LABELS), _orders.N_SHOWN), np.float32)
+    costs = np.broadcast_to(np.asarray(cost, np.float32), (n, len(LABELS))).copy()
+    candidates = Candidates(orders, shown, np.zeros_like(costs), np.ones_like(costs, bool))
+    place = np.broadcast_to(off, valid.shape)[valid].astype(np.intp) + 4
+    return Choice(candidates, costs, place, np.full(n, 0.999))
+
+
+def off_of(task: Any, turns: Floats, chosen: Choice) -> NDArray[np.int64]:
+    true = np.rint(turns - task.phase.astype(np.float64) / (2 * np.pi))
+    off = np.full(task.valid.shape, 99)
+    off[task.valid] = chosen.order - true[task.valid]
+    return np.asarray(off, np.int64)
+
+
+@pytest.mark.parametrize("wrong", [-2, -1, 1, 3])
+def test_a_part_of_a_smooth_surface_gets_the_order_of_the_rest(wrong: int) -> None:
+    task = task_of(FLAT)
+    healed = made_whole(task, choice_of(task, FLAT, wrong * RAGGED))
+    assert (off_of(task, FLAT, healed) == 0).all()
+    share = 1 - RAGGED.mean()
+    assert healed.probability[RAGGED.ravel()] == pytest.approx(share, abs=1e-3)
+    assert (healed.probability[~RAGGED.ravel()] == 0.999).all()
+
+
+def test_orders_that_follow_the_phase_stay() -> None:
+    task = task_of(FLAT)
+    assert np.ptp(np.floor(FLAT)) >= 3  # the orders themselves do change
+    chosen = choice_of(task, FLAT, 0)
+    assert made_whole(task, chosen) is chosen
+
+
+def test_levels_add_up_along_a_chain() -> None:
+    """Strips that are 0, 1, 2, 3 orders off, of which only neighbours touch."""
+    off = np.digitize(COLS, [40, 54, 67])
+    task = task_of(FLAT)
+    healed = made_whole(task, choice_of(task, FLAT, off))
+    assert (off_of(task, FLAT, healed) == 0).all()
+
+
+@pytest.mark.parametrize("step", [0.3, 0.5, -0.37, 1.2])
+def test_a_depth_edge_divides(step: float) -> None:
+    """Where the phase jumps by a part of a period, the other side may have any order."""
+    turns = FLAT + step * PATCH
+    task = task_of(turns)
+    chosen = choice_of(task, turns, 2 * PATCH)
+    assert (off_of(task, turns, made_whole(task, chosen)) == 2 * PATCH).all()
+
+
+def test_a_bend_divides_unless_it_is_noise() -> None:
+    """A roof of 0.5 rad in the second difference, with little noise and with much."""
+    turns = 0.05 * np.abs(COLS - 40) + 10.0
+    off = (COLS >= 40).astype(int)
+    sharp, noisy = task_of(turns, std=0.005), task_of(turns, std=0.2)
+    assert (off_of(sharp, turns, made_whole(sharp, choice_of(sharp, turns, off))) == off).all()
+    healed = made_whole(noisy, choice_of(noisy, turns, off))
+    assert len(np.unique(off_of(noisy, turns, healed))) == 1
+
+
+def test_what_c2_refutes_does_not_move() -> None:
+    task = task_of(FLAT)
+    cost = np.zeros((FLAT.size, len(LABELS)))
+    cost[PATCH.ravel(), 4] = 50.0  # the order of the rest
+    chosen = choice_of(task, FLAT, PATCH, cost)
+    assert (off_of(task, FLAT, made_whole(task, chosen)) == PATCH).all()
+    few = (ROWS > 25) & (ROWS < 29) & (COLS > 50) & (COLS < 56)  # 15 px: their border tells more
+    healed = made_whole(task, choice_of(task, FLAT, few, cost))
+    assert (off_of(task, FLAT, healed) == 0).all()
+
+
+def test_most_clear_pixels_elect_the_order_not_the_largest_part() -> None:
+    """The larger part is not seen by C2: it follows the smaller one, which is."""
+    task = task_of(FLAT)
+    large = COLS >= 30
+    cost = np.zeros((FLAT.size, len(LABELS)))
+    cost[large.ravel()] = np.nan
+    healed = made_whole(task, choice_of(task, FLAT, large, cost))
+    assert (off_of(task, FLAT, healed) == 0).all()
+
+
+def test_gaps_and_missing_candidates() -> None:
+    valid = ~((COLS == 40) | (ROWS == 3))
+    task = task_of(FLAT, valid=valid)
+    chosen = choice_of(task, FLAT, 4 * (COLS > 40))
+    assert (off_of(task, FLAT, made_whole(task, chosen))[valid] == (4 * (COLS > 40))[valid]).all()
+    # Two steps below the lowest candidate there is nothing to move to.
+    task = task_of(FLAT)
+    chosen = choice_of(task, FLAT, np.where(PATCH, 3, -3))
+    chosen.candidates.orders[PATCH.ravel(), :4] = NO_ORDER
+    off = off_of(task, FLAT, made_whole(task, chosen))
+    assert (off[PATCH] == 3).all()
+    assert (off[~PATCH] == -3).all()
+
+
+def test_nothing_known() -> None:
+    task = task_of(FLAT)
+    chosen = choice_of(task, FLAT, 0)
+    chosen.candidates.orders[:] = NO_ORDER
+    assert made_whole(task, chosen) is chosen
