@@ -8,18 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from fringe3d.decode.code_only import phase_from_code
+from fringe3d.decode.fused import DecodedSet, Numbering, decode_set
 from fringe3d.decode.gray import code_words
-from fringe3d.decode.order import (
-    OrderTable,
-    order_from_code,
-    order_table,
-    order_unknown,
-)
+from fringe3d.decode.order import OrderTable, one_class, order_from_code, order_table, order_unknown
 from fringe3d.decode.periods import order_from_coarser, order_from_periods
 from fringe3d.decode.phase import wrapped_phase
 from fringe3d.errors import MethodError
 from fringe3d.model import ImageStack, PhaseMap, WrappedPhaseMap
-from fringe3d.model.plan import GraySet, PatternPlan
+from fringe3d.model.plan import FringeSet, PatternPlan
 from fringe3d.patterns import EDGE_TOLERANCE, extent_px
 
 
@@ -37,6 +33,11 @@ class DirectionPhases:
     main: PhaseMap
     others: tuple[PhaseMap, ...]
     wrapped: tuple[WrappedPhaseMap, ...]
+
+    @property
+    def other_periods(self) -> tuple[WrappedPhaseMap, ...]:
+        """Return the wrapped phases of all periods but that of the main map."""
+        return tuple(m for m in self.wrapped if m.period_px != self.main.period_px)
 
     def like(self, phases: PhaseMap) -> PhaseMap:
         """Return the map of the same period as that of another camera, else the main one."""
@@ -59,6 +60,7 @@ def decode(
     *,
     min_modulation_dn: float | None = None,
     whole_cells: bool = False,
+    plain: bool = False,
 ) -> CameraPhases:
     """Decode all fringe and Gray-code images of one camera.
 
@@ -69,6 +71,7 @@ def decode(
         Overrides that of the plan. Without either, the code bounds the projector.
     min_modulation_dn : float or None, DN; see `wrapped_phase`
     whole_cells : bool; leave a Gray code without fringes unsmoothed, see `phase_from_code`
+    plain : bool; with NumPy alone, see `wrapped_phase`
 
     Returns
     -------
@@ -86,67 +89,94 @@ def decode(
             "there is nothing to decode"
         )
     shape = projector_shape or plan.projector_shape
-    # The mean of any fringes is the threshold for the code, whatever their direction.
-    wrapped = [
-        wrapped_phase(stack, fringe_set, min_modulation_dn=min_modulation_dn)
-        for fringe_set in plan.fringe_sets
-    ]
+    extents = {angle: _extent(plan, angle, shape) for angle in plan.angles}
+    numbered = dict(
+        found
+        for angle, extent in extents.items()
+        if (found := numbering_of(stack, angle, extent)) is not None
+    )
+    sets: list[DecodedSet] = []
+    for fringe_set in plan.fringe_sets:
+        # The mean of any fringes is the threshold for the code, whatever their direction.
+        first = sets[0].wrapped if sets else None
+        decode_one = _plain_set if plain else decode_set
+        numbering = numbered.get(fringe_set)
+        sets.append(decode_one(stack, fringe_set, min_modulation_dn, numbering, first))
     directions = [
-        _decode_direction(stack, angle, wrapped, _extent(plan, angle, shape), whole_cells)
-        for angle in plan.angles
+        _decode_direction(stack, angle, sets, extent, whole_cells)
+        for angle, extent in extents.items()
     ]
     return CameraPhases(stack.device_name, tuple(directions))
+
+
+def _plain_set(
+    stack: ImageStack,
+    fringe_set: FringeSet,
+    min_modulation_dn: float | None,
+    numbering: Numbering | None,
+    any_fringes: WrappedPhaseMap | None,
+) -> DecodedSet:
+    """Do what `decode_set` does, step by step."""
+    wrapped = wrapped_phase(stack, fringe_set, min_modulation_dn=min_modulation_dn, plain=True)
+    if numbering is None:
+        return DecodedSet(wrapped, None)
+    if numbering.gray_set is None or numbering.table is None:
+        return DecodedSet(wrapped, order_unknown(wrapped, numbering.classes))
+    offset = any_fringes.offset if any_fringes is not None else wrapped.offset
+    words = code_words(stack, numbering.gray_set, mean_dn=offset + np.float32(stack.black_level_dn))
+    return DecodedSet(wrapped, order_from_code(wrapped, words, numbering.table))
 
 
 def _decode_direction(
     stack: ImageStack,
     angle: float,
-    wrapped: Sequence[WrappedPhaseMap],
+    sets: Sequence[DecodedSet],
     extent: tuple[float, float],
     whole_cells: bool,
 ) -> DirectionPhases:
-    maps = [m for m in wrapped if m.angle == angle]
-    codes = [g for g in stack.plan.gray_sets if g.angle == angle]
+    own = [s for s in sets if s.wrapped.angle == angle]
+    maps = [s.wrapped for s in own]
     if not maps:
+        codes = [g for g in stack.plan.gray_sets if g.angle == angle]
         coded = phase_from_code(stack, codes[0], extent, smooth=not whole_cells)
         return DirectionPhases(coded, (), ())
-    if codes:
-        known = _orders_by_code(stack, codes[0], maps, wrapped[0], extent)
-    elif len(maps) > 1:
+    known = next((s.known for s in own if s.known is not None), None)
+    if known is None:
         known = order_from_periods(maps, extent)
-    else:
-        known = order_unknown(maps[0], extent)
-    if known.is_absolute:
-        phases = [
-            known if m.period_px == known.period_px else order_from_coarser(m, known) for m in maps
-        ]
-    else:
-        phases = [known]
+    if len(maps) == 1 or not known.is_absolute:
+        return DirectionPhases(known, (), tuple(maps))
+    phases = [
+        known if m.period_px == known.period_px else order_from_coarser(m, known) for m in maps
+    ]
     main, *others = sorted(phases, key=_position_error)
     return DirectionPhases(main, tuple(others), tuple(maps))
 
 
-def _orders_by_code(
-    stack: ImageStack,
-    code: GraySet,
-    maps: Sequence[WrappedPhaseMap],
-    any_fringes: WrappedPhaseMap,
-    extent: tuple[float, float],
-) -> PhaseMap:
-    """Find the fringe orders of the period that the code suits best."""
-    mean_dn = any_fringes.offset + np.float32(stack.black_level_dn)
-    words = code_words(stack, code, mean_dn=mean_dn)
-    tables = [order_table(code, m.period_px, extent) for m in maps]
-    best = min(
-        range(len(maps)), key=lambda i: _suitability(tables[i], maps[i].period_px, code.cell_px)
-    )
-    if maps[best].period_px < code.cell_px * (1 - EDGE_TOLERANCE):
+def numbering_of(
+    stack: ImageStack, angle: float, extent: tuple[float, float]
+) -> tuple[FringeSet, Numbering] | None:
+    """Return the fringes of this angle whose orders are found at once, and how.
+
+    Those of the period that the code suits best, or the only ones; None for several periods
+    without a code, and without fringes.
+    """
+    fringe_sets = [f for f in stack.plan.fringe_sets if f.angle == angle]
+    codes = [g for g in stack.plan.gray_sets if g.angle == angle]
+    if not fringe_sets or (len(fringe_sets) > 1 and not codes):
+        return None
+    if not codes:
+        return fringe_sets[0], Numbering(None, None, one_class(fringe_sets[0].period_px, extent))
+    code = codes[0]
+    tables = [order_table(code, f.period_px, extent) for f in fringe_sets]
+    periods = [f.period_px for f in fringe_sets]
+    best = min(range(len(periods)), key=lambda i: _suitability(tables[i], periods[i], code.cell_px))
+    if periods[best] < code.cell_px * (1 - EDGE_TOLERANCE):
         raise MethodError(
             f"camera '{stack.device_name}': the cells of the code are {code.cell_px:g} px wide, "
-            f"the fringes {maps[best].period_px:g} px: the code does not tell periods apart that "
+            f"the fringes {periods[best]:g} px: the code does not tell periods apart that "
             "share a cell. Keep the finer bits, or correct cell_px or period_px in the sequence"
         )
-    return order_from_code(maps[best], words, tables[best])
+    return fringe_sets[best], Numbering(code, tables[best], tables[best].classes)
 
 
 def _suitability(table: OrderTable, period_px: float, cell_px: float) -> tuple[bool, float, float]:

@@ -48,6 +48,8 @@ def code_words(
         If there is nothing to compare a bit with.
     """
     fixed = _fixed_threshold(stack, mean_dn)
+    if fixed is not None:  # the mean of unequal steps may lie beyond all grey values
+        fixed = np.clip(fixed, 0, np.iinfo(stack.images.dtype).max)
     word = np.zeros(stack.shape, np.int32)
     contrast = np.full(stack.shape, np.inf, np.float32)
     for bit, index, inverse in zip(gray_set.bits, gray_set.indices, gray_set.inverses, strict=True):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,13 +12,14 @@ from scipy import ndimage
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from fringe3d.decode import _fused
 from fringe3d.decode.gray import CodeWords, expected_words
 from fringe3d.model import NO_ORDER, PhaseMap, Rejection, WrappedPhaseMap
 from fringe3d.model.plan import GraySet
 from fringe3d.model.rejection import reject
 from fringe3d.patterns import EDGE_TOLERANCE
 
-PHASE_BINS = 16
+PHASE_BINS = _fused.PHASE_BINS
 """Parts of a period in which the code is looked up; a cell of half a period holds eight."""
 
 MAX_MISREAD = 0.25
@@ -68,14 +70,27 @@ class OrderTable:
         `NO_ORDER` where there are fewer than two.
     naive : (2**n,) int32; class that the word alone would give; `NO_ORDER` for none or several
     classes : OrderClasses
+    following, preceding : (n_orders,) int32
+        Class of the next and of the previous order, for the class named ``first_order + i``;
+        `NO_ORDER` where its members disagree.
+    packed : (2**n * PHASE_BINS,) int32; all that a pixel needs, as the compiled decoder reads it
     """
 
     by_word: NDArray[np.int32]
     alternatives: NDArray[np.int32]
     naive: NDArray[np.int32]
     classes: OrderClasses
+    following: NDArray[np.int32]
+    preceding: NDArray[np.int32]
+    packed: NDArray[np.int32]
+
+    @property
+    def has_alternative(self) -> NDArray[np.bool_]:
+        """Tell where a word has an alternative, (2**n * PHASE_BINS,)."""
+        return np.asarray((self.packed & _fused.UNSAFE) != 0)
 
 
+@lru_cache(maxsize=8)
 def order_table(
     gray_set: GraySet, period_px: float, extent_px: tuple[float, float], /
 ) -> OrderTable:
@@ -118,7 +133,25 @@ def order_table(
             if abs(shift) <= reach:
                 _add_alternative(alternatives, row, bins, name, by_word)
     naive = _naive(words, class_of_order, len(by_word))
-    return OrderTable(by_word, alternatives, naive, OrderClasses(int(orders[0]), class_of_order))
+    classes = OrderClasses(int(orders[0]), class_of_order)
+    following, preceding = _neighbour_classes(classes, 1), _neighbour_classes(classes, -1)
+    packed = _packed(by_word, alternatives, naive, classes.first_order)
+    for array in (by_word, alternatives, naive, following, preceding, packed, class_of_order):
+        array.setflags(write=False)
+    return OrderTable(by_word, alternatives, naive, classes, following, preceding, packed)
+
+
+def _packed(
+    by_word: NDArray[np.int32],
+    alternatives: NDArray[np.int32],
+    naive: NDArray[np.int32],
+    first_order: int,
+) -> NDArray[np.int32]:
+    unsafe = (alternatives != NO_ORDER).any(axis=-1)
+    corrected = (naive != NO_ORDER)[:, None] & (naive[:, None] != by_word) & ~unsafe
+    place = np.where(by_word == NO_ORDER, 0, by_word.astype(np.int64) - first_order + 1)
+    packed = 4 * place + _fused.UNSAFE * unsafe + _fused.CORRECTED * corrected
+    return np.asarray(packed.ravel(), np.int32)
 
 
 def _classes(orders: NDArray[np.int32], words: NDArray[np.int32]) -> NDArray[np.int32]:
@@ -192,16 +225,17 @@ def order_from_code(wrapped: WrappedPhaseMap, words: CodeWords, table: OrderTabl
     phase = positive_phase(wrapped.phase)
     valid = wrapped.rejection == 0
     bins = np.where(valid, phase * (PHASE_BINS / TWO_PI), 0).astype(np.int32) % PHASE_BINS
-    order = np.where(valid, table.by_word[words.word, bins], NO_ORDER).astype(np.int32)
-    naive = table.naive[words.word]
-    alternatives = table.alternatives[words.word, bins]
-    alternatives[~valid] = NO_ORDER
-    looked_up = order
-    is_clear = words.contrast_dn >= CLEAR_BIT * wrapped.modulation
-    order = _mend_at_edges(order, alternatives, phase, is_clear, table.classes)
+    place = words.word * PHASE_BINS + bins
+    looked_up = np.where(valid, table.by_word.ravel()[place], np.int32(NO_ORDER))
+    unsafe = valid & table.has_alternative[place]
+    alternatives = table.alternatives.reshape(-1, 2)[place[unsafe]]
+    is_clear = (words.contrast_dn >= np.float32(CLEAR_BIT) * wrapped.modulation)[unsafe]
+    order = looked_up.copy()
+    order[unsafe] = mended_orders(looked_up, phase, unsafe, alternatives, is_clear, table)
     known = order != NO_ORDER
     rejection = wrapped.rejection.copy()
     reject(rejection, valid & ~known, Rejection.INCONSISTENT_CODE)
+    naive = table.naive[words.word]
     corrected = ((naive != NO_ORDER) & (naive != order)) | (order != looked_up)
     n_mended = int((known & corrected).sum())
     return phase_map(wrapped, phase, order, table.classes, rejection, n_mended=n_mended)
@@ -241,33 +275,46 @@ def phase_map(
     )
 
 
-def _mend_at_edges(
+def mended_orders(
     order: NDArray[np.int32],
-    alternatives: NDArray[np.int32],
     phase: NDArray[np.float32],
+    unsafe: NDArray[np.bool_],
+    alternatives: NDArray[np.int32],
     is_clear: NDArray[np.bool_],
-    classes: OrderClasses,
+    table: OrderTable,
+    /,
 ) -> NDArray[np.int32]:
-    """Take what continues the phase of the nearest safe pixel; else only clear words."""
-    unsafe = (alternatives != NO_ORDER).any(axis=-1)
+    """Take what continues the phase of the nearest safe pixel; else only clear words.
+
+    Parameters
+    ----------
+    order : (row, col) int32; classes as looked up, `NO_ORDER` where there is none
+    phase : (row, col) float32, rad, [0, 2 pi)
+    unsafe : (row, col) bool; n pixels whose word has alternatives
+    alternatives : (n, 2) int32; see `OrderTable`
+    is_clear : (n,) bool; no bit of the word is close to its threshold
+    table : OrderTable
+
+    Returns
+    -------
+    (n,) int32
+        Classes of the unsafe pixels.
+    """
+    looked_up = order[unsafe]
+    by_word = np.where(is_clear, looked_up, np.int32(NO_ORDER))
     safe = (order != NO_ORDER) & ~unsafe
-    if not unsafe.any():
-        return order
-    if not safe.any():
-        return np.where(unsafe & ~is_clear, np.int32(NO_ORDER), order)
+    if not len(looked_up) or not safe.any():
+        return by_word
     rows, cols = ndimage.distance_transform_edt(~safe, return_distances=False, return_indices=True)
     rows, cols = rows[unsafe], cols[unsafe]
     turns = np.rint((phase[rows, cols] - phase[unsafe]) / TWO_PI).astype(np.int32)
     expected = order[rows, cols]
-    index = expected - classes.first_order
-    for step in (1, -1):
-        expected = np.where(turns == step, _neighbour_classes(classes, step)[index], expected)
-    possible = np.column_stack([order[unsafe], alternatives[unsafe]])
+    index = expected - table.classes.first_order
+    expected = np.where(turns == 1, table.following[index], expected)
+    expected = np.where(turns == -1, table.preceding[index], expected)
+    possible = np.column_stack([looked_up, alternatives])
     continues = (expected != NO_ORDER) & (possible == expected[:, None]).any(axis=1)
-    by_word = np.where(is_clear[unsafe], order[unsafe], NO_ORDER)
-    mended = order.copy()
-    mended[unsafe] = np.where(continues, expected, by_word)
-    return mended
+    return np.where(continues, expected, by_word)
 
 
 def _neighbour_classes(orders: OrderClasses, step: int) -> NDArray[np.int32]:
@@ -288,10 +335,14 @@ def has_mirrored_neighbours(phases: PhaseMap, /) -> bool:
     return bool(classes.min() < classes.max() and (np.diff(classes) == 0).any())
 
 
-def order_unknown(wrapped: WrappedPhaseMap, extent_px: tuple[float, float], /) -> PhaseMap:
-    """Return a phase map of which nothing is known but the wrapped phase (one class)."""
-    orders = all_orders(wrapped.period_px, extent_px)
+def one_class(period_px: float, extent_px: tuple[float, float], /) -> OrderClasses:
+    """Return the orders of the periods between two coordinates w (px), all in one class."""
+    orders = all_orders(period_px, extent_px)
     first = orders.first_order
-    classes = OrderClasses(first, np.full_like(orders.class_of_order, first))
-    order = np.where(wrapped.rejection == 0, np.int32(first), np.int32(NO_ORDER))
+    return OrderClasses(first, np.full_like(orders.class_of_order, first))
+
+
+def order_unknown(wrapped: WrappedPhaseMap, classes: OrderClasses, /) -> PhaseMap:
+    """Return a phase map of which nothing is known but the wrapped phase; see `one_class`."""
+    order = np.where(wrapped.rejection == 0, np.int32(classes.first_order), np.int32(NO_ORDER))
     return phase_map(wrapped, positive_phase(wrapped.phase), order, classes, wrapped.rejection)

@@ -1,0 +1,132 @@
+"""Fringe orders next to edges of a code from the nearest safe pixel, compiled.
+
+`order.mended_orders` with ``plain=True`` says the same in words.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit, prange
+from numpy.typing import NDArray
+
+from fringe3d.decode._fused import CLEAR, CONTRADICTS, NAN, NONE, PHASE_BINS, TWO_PI, UNSAFE
+
+f4, i4 = np.float32, np.int32
+
+COLUMNS_AT_ONCE = 64
+FAR = i4(1 << 20)
+"""Rows; farther than any image is high."""
+
+HALF = f4(0.5)
+
+
+class Meaning(NamedTuple):
+    """What words and classes mean: see `order.OrderTable`.
+
+    `following` and `preceding` (n,) are the classes of the next and the previous order, for the
+    class named ``first_order + i``.
+    """
+
+    alternatives: NDArray[np.int32]
+    naive: NDArray[np.int32]
+    following: NDArray[np.int32]
+    preceding: NDArray[np.int32]
+    first_order: np.int32
+
+
+@njit(cache=True)
+def nearest_rows(order, cells, left, right, nearest):  # type: ignore[no-untyped-def]
+    """Write the row of the nearest safe pixel of each pixel's own column; the upper of two.
+
+    Beyond the image where the column has none.
+    """
+    n_rows = order.shape[0]
+    last = np.full(right - left, -FAR, i4)
+    for row in range(n_rows):
+        for x in range(right - left):
+            is_safe = (order[row, left + x] != NONE) & (cells[row, left + x] & i4(UNSAFE) == 0)
+            last[x] = i4(row) if is_safe else last[x]
+            nearest[row, left + x] = last[x]
+    last[:] = FAR
+    for row in range(n_rows - 1, -1, -1):
+        for x in range(right - left):
+            above = nearest[row, left + x]
+            last[x] = i4(row) if above == i4(row) else last[x]
+            nearest[row, left + x] = last[x] if last[x] - i4(row) < i4(row) - above else above
+
+
+@njit(cache=True)
+def nearest_column(nearest, row, col):  # type: ignore[no-untyped-def]
+    """Return the column that holds the nearest safe pixel; the left one of two.
+
+    -1 where there is none. With the upper of two rows these are the pixels that
+    `scipy.ndimage.distance_transform_edt` names.
+    """
+    n_cols = nearest.shape[1]
+    best, found, step = np.int64(FAR) * np.int64(FAR) // 4, -1, 0
+    while step * step <= best and step < n_cols:
+        if col >= step:
+            away = np.int64(nearest[row, col - step]) - row
+            if away * away + step * step <= best:
+                best, found = away * away + step * step, col - step
+        if col + step < n_cols:
+            away = np.int64(nearest[row, col + step]) - row
+            if away * away + step * step < best:
+                best, found = away * away + step * step, col + step
+        step += 1
+    return found
+
+
+@njit(cache=True)
+def _continued(maps, meaning, row, col, near_row, near_col):  # type: ignore[no-untyped-def]
+    """Return the class that continues the phase of a safe pixel."""
+    index = maps.order[near_row, near_col] - meaning.first_order
+    turns = (maps.phase[near_row, near_col] - maps.phase[row, col]) / TWO_PI
+    if turns > HALF:
+        return meaning.following[index]
+    if turns < -HALF:
+        return meaning.preceding[index]
+    return maps.order[near_row, near_col]
+
+
+@njit(cache=True)
+def _mend_row(maps, meaning, nearest, any_safe, row):  # type: ignore[no-untyped-def]
+    """Decide the unsafe pixels of a row, and count those with another order than their word."""
+    n_corrected = 0
+    for col in range(maps.order.shape[1]):
+        cell = maps.cells[row, col]
+        if not cell & UNSAFE:
+            continue
+        looked_up, place = maps.order[row, col], cell >> 3
+        order = looked_up if cell & CLEAR else NONE
+        if any_safe:
+            near_col = nearest_column(nearest, row, col)
+            near_row = nearest[row, near_col]
+            expected = _continued(maps, meaning, row, col, near_row, near_col)
+            one, two = meaning.alternatives[place, 0], meaning.alternatives[place, 1]
+            possible = expected in (looked_up, one, two)
+            order = expected if possible and expected != NONE else order
+        maps.order[row, col] = order
+        naive = meaning.naive[place // PHASE_BINS]
+        if order == NONE:
+            maps.phase[row, col] = NAN
+            maps.rejection[row, col] = CONTRADICTS
+        elif order != looked_up or (naive != NONE and naive != order):
+            n_corrected += 1
+    maps.counts[row, 1] += n_corrected
+
+
+@njit(cache=True, parallel=True)
+def mend_rows(maps, meaning, nearest):  # type: ignore[no-untyped-def]
+    """Decide all unsafe pixels of the maps in place; `nearest` (row, col) int32 is scratch."""
+    n_rows, n_cols = maps.order.shape
+    for block in prange((n_cols + COLUMNS_AT_ONCE - 1) // COLUMNS_AT_ONCE):
+        left = np.int64(block) * COLUMNS_AT_ONCE
+        nearest_rows(maps.order, maps.cells, left, min(left + COLUMNS_AT_ONCE, n_cols), nearest)
+    any_safe = False
+    for col in range(n_cols):
+        any_safe |= nearest[0, col] >= 0 and nearest[0, col] < n_rows
+    for row in prange(n_rows):
+        _mend_row(maps, meaning, nearest, any_safe, np.int64(row))

@@ -1,0 +1,121 @@
+"""What the fit of a sinusoid needs beforehand: weights of the steps, noise, limits."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fringe3d.decode.noise import (
+    MIN_MODULATION_OF_RANGE,
+    estimated_variance,
+    harmonic_ratio,
+    typical_variance,
+)
+from fringe3d.errors import MethodError
+from fringe3d.model import ImageStack, WrappedPhaseMap
+from fringe3d.model.plan import FringeSet
+
+MAX_PHASE_STD = 0.25
+"""rad; at a standard deviation of one 25th of a period no point is worth having."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FringeFit:
+    """How the images of one fringe set become phases.
+
+    Parameters
+    ----------
+    solver : (3, N) float32; weights of the steps for A, C and S
+    phase_weight : float; ``sigma_phase * B / sigma_I``
+    read_variance, gain : float, DN**2 and DN
+        ``sigma_I**2 = read_variance + gain * max(A, 0)``, A above the black level.
+    lowest_dn : float, DN; smallest modulation
+    """
+
+    solver: NDArray[np.float32]
+    phase_weight: float
+    read_variance: float
+    gain: float
+    lowest_dn: float
+
+    def variance(self, offset: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return the variance of a grey value, DN**2, where A (above black) is `offset`."""
+        if self.gain == 0:
+            return np.broadcast_to(np.float32(self.read_variance), offset.shape)
+        light = np.maximum(offset, 0)
+        return np.float32(self.read_variance) + np.float32(self.gain) * light
+
+
+def fringe_fit(
+    stack: ImageStack, fringe_set: FringeSet, min_modulation_dn: float | None, /
+) -> FringeFit:
+    """Prepare the fit of one fringe set.
+
+    Raises
+    ------
+    MethodError
+        If the shifts do not determine the phase.
+    """
+    solver, weight = _least_squares(fringe_set, stack.device_name)
+    if stack.noise is not None:
+        read_variance, gain = stack.noise.read_noise_dn**2, stack.noise.gain_dn_per_e
+    else:
+        read_variance, gain = estimated_variance(stack, fringe_set, solver), 0.0
+    lowest = min_modulation_dn
+    if lowest is None:
+        lowest = MIN_MODULATION_OF_RANGE * (stack.saturation_dn - stack.black_level_dn)
+    return FringeFit(solver, weight, read_variance, gain, lowest)
+
+
+def _least_squares(fringe_set: FringeSet, device_name: str) -> tuple[NDArray[np.float32], float]:
+    """Return the (3, N) solver of the model and sigma_phase * B / sigma_I."""
+    shifts = np.asarray(fringe_set.shifts)
+    model = np.stack([np.ones_like(shifts), np.cos(shifts), np.sin(shifts)], axis=1)
+    if len(shifts) < 3 or np.linalg.matrix_rank(model, tol=1e-6) < 3:
+        raise MethodError(
+            f"camera '{device_name}': the phase needs at least three different steps; the fringes "
+            f"of {fringe_set.period_px:g} px have {np.degrees(shifts).round(3).tolist()} degrees. "
+            "Keep more steps"
+        )
+    solver = np.linalg.pinv(model)
+    # Averaged over all phases; sqrt(2 / N) for equal steps.
+    weight = float(np.sqrt((solver[1:] ** 2).sum() / 2))
+    return solver.astype(np.float32), weight
+
+
+def wrapped_map(
+    stack: ImageStack,
+    fringe_set: FringeSet,
+    fit: FringeFit,
+    /,
+    *,
+    phase: NDArray[np.float32],
+    offset: NDArray[np.float32],
+    modulation: NDArray[np.float32],
+    phase_std: NDArray[np.float32],
+    rejection: NDArray[np.uint16],
+    n_valid: int,
+) -> WrappedPhaseMap:
+    """Compose the map of one fringe set; add its noise and its second harmonic."""
+    noise_dn, harmonic = float("nan"), float("nan")
+    if n_valid:
+        variance = fit.variance(offset)
+        typical = typical_variance(variance, rejection) if fit.gain > 0 else fit.read_variance
+        noise_dn = math.sqrt(typical)
+        harmonic = harmonic_ratio(stack, fringe_set, modulation, variance, rejection)
+    return WrappedPhaseMap(
+        phase=phase,
+        offset=offset,
+        modulation=modulation,
+        phase_std=phase_std,
+        rejection=rejection,
+        period_px=fringe_set.period_px,
+        angle=fringe_set.angle,
+        device_name=stack.device_name,
+        n_shifts=len(fringe_set.indices),
+        noise_dn=noise_dn,
+        harmonic_ratio=harmonic,
+    )
