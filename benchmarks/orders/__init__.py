@@ -1,0 +1,1 @@
+"""What method M6 reaches: every figure about it in the docs, printed again."""
