@@ -52,7 +52,7 @@ def main() -> None:
         try:
             result = measure(scan, options)
         except Fringe3DError as refusal:
-            said = str(refusal).split(":")[0]
+            said = str(refusal).split(". ")[0]
             print(f"| {name} | {wording(options)} | refused | | {said} | | | |")
             continue
         print(row(name, options, result, time.perf_counter() - start))

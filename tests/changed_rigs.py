@@ -51,3 +51,14 @@ def cut_rig(rig: Rig, half_height_mm: float) -> Rig:
     middle = replace(c1, n_rows=128, n_cols=160, center_px=c1.center_px - [240.0, 192.0])
     volume = MeasuringVolume.box([-80, -80, -half_height_mm], [80, 80, half_height_mm])
     return replace(rig, cameras=(middle, *others), volume=volume)
+
+
+def with_wide_c2(rig: Rig) -> Rig:
+    """Return a `small_rig` whose C2, a pinhole of 280 x 200 px, sees more than C1.
+
+    Whatever order is taken for a pixel, its point is in the image of C2.
+    """
+    c1, c2 = rig.cameras
+    c2 = replace(c2, n_cols=280, n_rows=200, center_px=c2.center_px + np.array([60.0, 36.0]),
+                 distortion=np.zeros(4))  # fmt: skip
+    return replace(rig, cameras=(c1, c2))

@@ -12,9 +12,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from closed_form import above_table, demo_rig, sphere_distance
 from cv_lens import cv_project, cv_rays
+from fringe3d.correspond import Task, TwoViews, choose_orders, coarse_stride
+from fringe3d.correspond.candidates import ChosenOrders
 from fringe3d.model import (
     NO_ORDER,
     Device,
+    MeasuringVolume,
     PhaseMap,
     Rejection,
     Rig,
@@ -160,3 +163,28 @@ def phase_map(
         angle=angle,
         device_name=camera.name,
     )
+
+
+def choose(
+    rig: Rig, views: TwoViews, volume: MeasuringVolume | None = None, **how: Any
+) -> ChosenOrders:
+    """Choose orders with the rig's projector, in its volume or another."""
+    assert rig.projector is not None
+    assert rig.volume is not None
+    return choose_orders(views, rig.projector, volume or rig.volume, **how)
+
+
+def task_of(rig: Rig, views: TwoViews, stride: tuple[int, int] | None = None) -> Task:
+    """Return the candidates of the pixels, or of those of a coarse grid, decided together."""
+    assert rig.projector is not None
+    assert rig.volume is not None
+    stride = coarse_stride(views.phases1.phase) if stride is None else stride
+    return Task(views, rig.projector, rig.volume, 36.0, together=True, stride=stride)
+
+
+def turns_off(rig: Rig, views: TwoViews, surface: Surface, order: NDArray[np.int32]) -> Floats:
+    """Return how many periods orders are off; a noisy phase near its wrap is no error."""
+    assert rig.projector is not None
+    turns = true_turns(rig.cameras[0], rig.projector, surface, grid_of(rig.cameras[0]))
+    own = views.phases1.phase / (2 * np.pi)
+    return np.where(order == NO_ORDER, np.nan, np.rint(order + own - turns))

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from closed_phases import (
     PLANE,
     Surface,
+    choose,
     grid_of,
     moved,
     phase_map,
@@ -22,10 +23,9 @@ from closed_phases import (
     visible,
 )
 from cv_lens import cv_project, cv_rays
-from fringe3d.correspond import TwoViews, choose_orders
+from fringe3d.correspond import TwoViews
 from fringe3d.correspond._aggregate import FAR, aggregate
 from fringe3d.correspond._phase import largest_sigma
-from fringe3d.correspond.candidates import ChosenOrders
 from fringe3d.model import NO_ORDER, MeasuringVolume, PhaseMap, Rejection, Rig
 
 pytestmark = pytest.mark.usefixtures("one_thread")
@@ -81,13 +81,6 @@ def views_of(
         camera1=c1, camera2=c2, phases1=first[0], phases2=first[1],
         second1=other[0] if second else None, second2=other[1] if second else None,
     )  # fmt: skip
-
-
-def choose(rig: Rig, views: TwoViews, volume: MeasuringVolume | None = None, **how: object
-           ) -> ChosenOrders:  # fmt: skip
-    assert rig.projector is not None
-    assert rig.volume is not None
-    return choose_orders(views, rig.projector, volume or rig.volume, **how)  # type: ignore[arg-type]
 
 
 def true_orders(rig: Rig, views: TwoViews, surface: Surface) -> NDArray[np.int64]:

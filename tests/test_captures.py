@@ -17,10 +17,12 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from fringe3d.errors import CalibrationError, Fringe3DError
+from fringe3d.design import assess
+from fringe3d.errors import CalibrationError, Fringe3DError, MethodError
 from fringe3d.health import period_disagreement
 from fringe3d.io.recording import read_scan
 from fringe3d.model import Device, Rig, RigidTransform, Scan
+from fringe3d.options import volume_of
 from fringe3d.pipeline import Measurement, MeasureOptions, measure
 
 DESCRIPTIONS = Path(__file__).parent.parent / "examples" / "captures"
@@ -174,6 +176,22 @@ def test_bust_with_fewer_bits_is_the_same_where_both_measure(
         bust_points.points.points_mm[both] - reduced.points.points_mm[both], axis=-1
     )
     assert (away > 0.1).mean() < 0.002
+
+
+def test_bust_breaks_at_the_number_of_bits_that_the_design_predicts(bust: Scan) -> None:
+    """The period is the median in C2's images; without the projector C2's segments are counted."""
+    depth = (500.0, 650.0)
+    assert bust.rig is not None
+    options = MeasureOptions(depth_mm=depth)
+    rig = replace(bust.rig, volume=volume_of(bust.rig, bust.stacks[0].device_name, options))
+    needs = assess(rig, period_px=12.0, camera_period_px=26.9).needs
+    assert needs.bits == 3
+    enough = measure(bust, replace(options, gray_bits=3))
+    assert enough.points is not None
+    assert enough.points.n_points > 375_000
+    for gray_bits in (2, 1, 0):
+        with pytest.raises(MethodError, match=r"in 'c2', found up to [67].*3 cyclic code images"):
+            measure(bust, replace(options, gray_bits=gray_bits))
 
 
 @pytest.mark.parametrize("number", ["0020", "0021"])

@@ -9,22 +9,23 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from changed_rigs import turned
+from changed_rigs import turned, with_wide_c2
 from closed_phases import (
     Surface,
+    choose,
     grid_of,
-    moved,
     phase_map,
     seen_points,
     small_rig,
-    true_turns,
+    task_of,
+    turns_off,
     visible,
 )
 from cv_lens import cv_project
-from fringe3d.correspond import Rivals, Task, TwoViews, choose_orders, coarse_stride, rivals
+from fringe3d.correspond import Rivals, Task, TwoViews, coarse_stride, rivals
 from fringe3d.correspond.candidates import ChosenOrders
 from fringe3d.correspond.solving import Solution
-from fringe3d.model import NO_ORDER, CalibrationBias, Rejection, Rig
+from fringe3d.model import NO_ORDER, Rejection, Rig
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 
@@ -43,11 +44,7 @@ TURNED_DEG = 0.01
 @cache
 def nearly_symmetric() -> Rig:
     """Return a rig whose projector stands 1 degree off the middle; C2 sees more than C1."""
-    rig = small_rig(projector_azimuth_deg=-1.0)
-    c1, c2 = rig.cameras
-    c2 = moved(c2, n_cols=280, n_rows=200, center_px=c2.center_px + np.array([60.0, 36.0]),
-               distortion=[0.0, 0.0, 0.0, 0.0])  # fmt: skip
-    return replace(rig, cameras=(c1, c2))
+    return with_wide_c2(small_rig(projector_azimuth_deg=-1.0))
 
 
 @cache
@@ -62,32 +59,10 @@ def views_of(rig: Rig, surface: Surface, sign: int = 1, *, std: float = STD_RAD)
                     phases1=phases1, phases2=phases2)  # fmt: skip
 
 
-def choose(rig: Rig, views: TwoViews, *, search: bool = True, bias: CalibrationBias | None = None
-           ) -> ChosenOrders:  # fmt: skip
-    assert rig.projector is not None
-    assert rig.volume is not None
-    return choose_orders(views, rig.projector, rig.volume, search=search, bias=bias)
-
-
 @cache
 def solved(surface: Surface, sign: int) -> ChosenOrders:
     rig = nearly_symmetric()
-    return choose(rig, views_of(rig, surface, sign))
-
-
-def task_of(rig: Rig, views: TwoViews, *, stride: tuple[int, int] | None = None) -> Task:
-    assert rig.projector is not None
-    assert rig.volume is not None
-    stride = coarse_stride(views.phases1.phase) if stride is None else stride
-    return Task(views, rig.projector, rig.volume, 36.0, together=True, stride=stride)
-
-
-def turns_off(rig: Rig, views: TwoViews, surface: Surface, order: NDArray[np.int32]) -> Floats:
-    """Return how many periods orders are off; a noisy phase near its wrap is no error."""
-    assert rig.projector is not None
-    turns = true_turns(rig.cameras[0], rig.projector, surface, grid_of(rig.cameras[0]))
-    own = views.phases1.phase / (2 * np.pi)
-    return np.where(order == NO_ORDER, np.nan, np.rint(order + own - turns))
+    return choose(rig, views_of(rig, surface, sign), search=True)
 
 
 # --- what a scan decides ---------------------------------------------------------------------
@@ -119,7 +94,7 @@ def test_without_search_the_orders_are_others(sign: int) -> None:
     """One start, without a bias: it settles on what lies nearest, or on nothing."""
     rig = nearly_symmetric()
     views, seen = views_of(rig, SCENE, sign), visible(rig, SCENE)
-    result = choose(rig, views, search=False)
+    result = choose(rig, views)
     good, off = (
         result.phases.rejection == 0,
         turns_off(rig, views, SCENE, result.phases.order_class),
@@ -144,7 +119,7 @@ def test_an_isolated_plane_is_left_open(sign: int) -> None:
 def test_a_learnt_bias_decides_the_plane(sign: int) -> None:
     rig, seen = nearly_symmetric(), visible(nearly_symmetric(), PLANE)
     views, bias = views_of(rig, PLANE, sign), solved(SCENE, sign).bias
-    result = choose(rig, views, bias=bias)
+    result = choose(rig, views, search=True, bias=bias)
     good, off = (
         result.phases.rejection == 0,
         turns_off(rig, views, PLANE, result.phases.order_class),
@@ -154,7 +129,7 @@ def test_a_learnt_bias_decides_the_plane(sign: int) -> None:
     assert result.bias is bias
     assert result.rival_shift == 0
     # The bias of the camera turned the other way tells other orders.
-    wrong = choose(rig, views, bias=solved(SCENE, -sign).bias)
+    wrong = choose(rig, views, search=True, bias=solved(SCENE, -sign).bias)
     off = turns_off(rig, views, PLANE, wrong.phases.order_class)
     assert ((wrong.phases.rejection == 0) & (off == 0))[seen].mean() < 0.05
 
@@ -166,7 +141,7 @@ def test_a_bias_that_changes_sign_is_found() -> None:
     c2 = rig.cameras[1]
     views = views_of(rig, SCENE)
     views = replace(views, camera2=turned(c2, "z", 0.3))
-    result, seen = choose(rig, views), visible(rig, SCENE)
+    result, seen = choose(rig, views, search=True), visible(rig, SCENE)
     good, off = (
         result.phases.rejection == 0,
         turns_off(rig, views, SCENE, result.phases.order_class),
@@ -195,7 +170,7 @@ def test_the_border_of_c2_is_no_evidence() -> None:
     """The same where C2 sees less than C1: another order moves points into its image, or out."""
     rig, low = small_rig(projector_azimuth_deg=-1.0), Surface(radius_mm=0.0)
     views = views_of(rig, low)
-    result = choose(rig, views)
+    result = choose(rig, views, search=True)
     off = turns_off(rig, views, low, result.phases.order_class)
     assert not ((result.phases.rejection == 0) & (off != 0)).any()
 
@@ -232,7 +207,7 @@ def test_nothing_clear_tells_nothing() -> None:
     left_out[60:80, 60:100] = 0  # 800 of the 2000 pixels it takes
     few = replace(views, phases1=views.phases1.rejecting(left_out))
     assert rivals([task_of(rig, few)]) is None
-    result = choose(rig, few)
+    result = choose(rig, few, search=True)
     assert not result.bias.displacement([[80.0, 64.0]], [335.0]).any()
     assert result.bias.scatter_px == 0.3
 
@@ -242,7 +217,7 @@ def test_nothing_decoded_tells_nothing() -> None:
     views = views_of(rig, PLANE)
     dark = np.full(views.phases1.rejection.shape, np.uint16(Rejection.LOW_MODULATION))
     dark_views = replace(views, phases1=views.phases1.rejecting(dark))
-    assert (choose(rig, dark_views).phases.rejection > 0).all()
+    assert (choose(rig, dark_views, search=True).phases.rejection > 0).all()
 
 
 # --- by hand ---------------------------------------------------------------------------------

@@ -19,15 +19,13 @@ projector  one camera: full or reduced code, one or two        code, unique on t
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from fringe3d.decode import has_mirrored_neighbours
 from fringe3d.decode.order import order_table
-from fringe3d.design import gray_needs, guard_periods, periods_on_projector, twin_part
 from fringe3d.design.gray import BEYOND
 from fringe3d.errors import MethodError
 from fringe3d.model import (
@@ -42,15 +40,7 @@ from fringe3d.model import (
 )
 from fringe3d.options import MeasureOptions
 from fringe3d.patterns import extent_px
-
-COUNT_STEP_PX = 8
-"""Segments are counted on every eighth row and column: they change slowly."""
-
-MOST_TWINS = 0.1
-"""Part of the points that may have a twin on their segment; C2 and the neighbours decide those."""
-
-TYPICAL_PHASE_STD, TYPICAL_CALIBRATION_PX = 0.01, 0.1
-"""rad and projector px; they widen the segments a little, as ``fringe3d design`` does."""
+from fringe3d.segments import MOST_TWINS, segments_in_projector, told_apart, too_long
 
 FRINGES_ALONE = ("m3", "m4", "m5")
 
@@ -193,46 +183,17 @@ def _bits_needed(plan: PatternPlan, angle: float, rig: Rig, volume: MeasuringVol
     code = next(g for g in plan.gray_sets if g.angle == angle)
     period = min(f.period_px for f in plan.fringe_sets if f.angle == angle)
     extent = extent_px(rig.projector.shape, angle)
+    segments = segments_in_projector(rig, volume, period_px=period, angle=angle)
     for bits in range(1, len(code.bits)):
         shorter = plan.subset(
             [i for i, p in enumerate(plan.patterns)
              if isinstance(p, GrayBit) and p.angle == angle and p.bit < bits]
         )  # fmt: skip
         table = order_table(shorter.gray_sets[0], period, extent)
-        told_apart = _told_apart(table.classes.class_of_order)
-        if _twins(rig, volume, period, angle, told_apart, beyond=BEYOND) <= MOST_TWINS / 10:
+        n = told_apart(table.classes.class_of_order)
+        if segments.twins(n, beyond=BEYOND) <= MOST_TWINS / 10:
             return bits
     return len(code.bits)
-
-
-def _told_apart(class_of_order: np.ndarray) -> int:
-    """Return how many neighbouring orders a code tells apart: the least distance in a class."""
-    distances = [np.diff(np.flatnonzero(class_of_order == name)) for name in set(class_of_order)]
-    return int(min((d.min() for d in distances if len(d)), default=len(class_of_order)))
-
-
-def _twins(
-    rig: Rig,
-    volume: MeasuringVolume,
-    period_px: float,
-    angle: float,
-    told_apart: int,
-    *,
-    beyond: float = 0.0,
-) -> float:
-    """Return the part of the points that have a second order of their class on the segment."""
-    periods = _periods(rig, volume, period_px, angle)
-    return twin_part(periods, math.log2(told_apart), guard=_guard(period_px), beyond=beyond)
-
-
-def _guard(period_px: float) -> float:
-    return guard_periods(TYPICAL_PHASE_STD, TYPICAL_CALIBRATION_PX, period_px)
-
-
-def _periods(rig: Rig, volume: MeasuringVolume, period_px: float, angle: float) -> np.ndarray:
-    return periods_on_projector(
-        replace(rig, volume=volume), period_px=period_px, angle=angle, step=COUNT_STEP_PX
-    )
 
 
 def settle(
@@ -266,14 +227,14 @@ def settle(
                 "the depth range of the object (--depth MIN:MAX, mm)"
             )
         return choice
-    told_apart = _told_apart(main.class_of_order)
-    twins = _twins(rig, volume, main.period_px, main.angle, told_apart)
+    segments = segments_in_projector(rig, volume, period_px=main.period_px, angle=main.angle)
+    twins = segments.twins(told_apart(main.class_of_order))
     if choice.method == "m6" and not asked and twins <= MOST_TWINS / 10:
         return Choice("m5", "no code, and hardly a segment in the projector exceeds a period")
     if has_mirrored_neighbours(main):
         return choice  # where in the period the code is ambiguous differs: C2 decides
     if choice.method in ("m2", "m5") and twins > MOST_TWINS:
-        raise MethodError(_too_long(choice.method, rig, volume, main, told_apart, twins))
+        raise MethodError(too_long(choice.method, segments, main))
     return choice
 
 
@@ -297,29 +258,4 @@ def _expected_full(n_classes: int, n_orders: int) -> str:
     return (
         f"expected a full Gray code, found one that tells {n_classes} of {n_orders} periods apart. "
         "Keep more bits, or use --method m2 with the depth range of the object (--depth)"
-    )
-
-
-def _too_long(
-    method: str,
-    rig: Rig,
-    volume: MeasuringVolume,
-    main: PhaseMap,
-    told_apart: int,
-    twins: float,
-) -> str:
-    """Say what the segments are too long for, and what would do."""
-    periods = _periods(rig, volume, main.period_px, main.angle)
-    needs = gray_needs(periods, guard=_guard(main.period_px))
-    of = "one period" if told_apart == 1 else f"{told_apart} periods, which the code tells apart"
-    which = (
-        f"--method m2 with {needs.bits} cyclic code images, {needs.bits + 1} if over-determined"
-        if method == "m5"
-        else f"{needs.bits} cyclic code images ({needs.bits + 1} if over-determined)"
-    )
-    return (
-        f"--method {method}: expected segments of up to {of} in '{main.device_name}', found up to "
-        f"{needs.max_periods:.1f} (median {float(np.nanmedian(periods)):.1f}); {twins:.0%} of the "
-        f"points have a twin. What would do: {which}; a narrower depth range (--depth MIN:MAX); or "
-        "a projector closer to the camera (fringe3d design tells how close)"
     )

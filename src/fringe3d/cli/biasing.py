@@ -8,33 +8,27 @@ from typing import Annotated, Any
 
 from cyclopts import Parameter
 
-from fringe3d.cli.calibrating import calibrate
+from fringe3d.cli.calibrating import CalibrationOptions, Images, Scans, calibrate
 from fringe3d.cli.console import Reporter, say
 from fringe3d.cli.parameters import Json, Overwrite, at_least
 from fringe3d.errors import MethodError, RigError
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class BiasOptions:
+class BiasOptions(CalibrationOptions):
     """What the user said on the command line; see ``fringe3d calibrate bias --help``."""
 
-    scans: tuple[Path, ...]
-    out: Path
-    rig: Path | None = None
-    images: tuple[Path, ...] = ()
-    depth_mm: tuple[float, float] | None = None
     shifts: int | None = None
     gray_bits: int | None = None
-    overwrite: bool = False
 
 
 @calibrate.command
 def bias(
     *,
-    from_: Annotated[list[Path], Parameter(name="--from", negative=())],
+    from_: Scans,
     out: Path,
     rig: Path | None = None,
-    images: Annotated[list[Path] | None, Parameter(negative=())] = None,
+    images: Images = None,
     depth: str | None = None,
     shifts: int | None = None,
     gray_bits: Annotated[int | None, Parameter(validator=at_least(0))] = None,
@@ -57,8 +51,6 @@ def bias(
         The rig file to write.
     rig
         Rig file instead of the scan's own.
-    images
-        Folder of the images, where they do not lie beside the scan file; repeat it for each scan.
     depth
         MIN:MAX, mm along the principal ray of C1; needed where the rig has no volume.
     shifts

@@ -42,13 +42,36 @@ LENS_NAMES = {
 }
 
 
+Scans = Annotated[list[Path], Parameter(name="--from", negative=())]
+Images = Annotated[
+    list[Path] | None,
+    Parameter(
+        negative=(),
+        help="Folder of the images, where they do not lie beside the scan file; repeat it for each "
+        "scan.",
+    ),
+]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CalibrationOptions:
+    """What every calibration from scans asks for; see ``fringe3d calibrate --help``."""
+
+    scans: tuple[Path, ...]
+    out: Path
+    rig: Path | None = None
+    images: tuple[Path, ...] = ()
+    depth_mm: tuple[float, float] | None = None
+    overwrite: bool = False
+
+
 @calibrate.command
 def projector(
     *,
-    from_: Annotated[list[Path], Parameter(name="--from", negative=())],
+    from_: Scans,
     out: Path,
     rig: Path | None = None,
-    images: Annotated[list[Path] | None, Parameter(negative=())] = None,
+    images: Images = None,
     depth: str | None = None,
     projector_size: str | None = None,
     distortion: Literal["auto", "none", "k1", "k1-p", "k2-p", "k3-p"] = "auto",
@@ -70,8 +93,6 @@ def projector(
         The rig file to write.
     rig
         Rig file with the two cameras, instead of the scan's own.
-    images
-        Folder of the images, where they do not lie beside the scan file; repeat it for each scan.
     depth
         MIN:MAX, mm along the principal ray of C1: use points in this range only.
     projector_size
@@ -101,17 +122,11 @@ def projector(
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ProjectorOptions:
+class ProjectorOptions(CalibrationOptions):
     """What the user said on the command line; see ``fringe3d calibrate projector --help``."""
 
-    scans: tuple[Path, ...]
-    out: Path
-    rig: Path | None = None
-    images: tuple[Path, ...] = ()
-    depth_mm: tuple[float, float] | None = None
     projector_size: tuple[int, int] | None = None
     lens: str | None = None
-    overwrite: bool = False
 
 
 def calibrate_projector(

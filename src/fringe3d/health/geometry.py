@@ -132,16 +132,20 @@ def check_yield(points: PointMap, /) -> list[Finding]:
     return [Finding("warning", "lost_part", lost, f"{text}; {cause}")]
 
 
-def check_twins(share: float, /) -> list[Finding]:
-    """Judge how many points could be surfaces just outside the volume (`twin_share`)."""
+def check_twins(share: float, /, *, code: str = "one code image more") -> list[Finding]:
+    """Judge how many points could be surfaces just outside the volume.
+
+    Parameters
+    ----------
+    share : float; part of the points, found (`twin_share`) or counted by geometry
+    code : str; what would tell them apart
+    """
     text = f"{share:.1%} of the points have a twin of their code just outside the measuring volume"
-    if share <= TWIN_WARNING:
-        return [Finding("ok", "twin_part", share, text)]
-    text += (
+    advice = (
         ": a table, wall or holder there is taken for a part of the object. Look at the cloud; "
-        "record one code image more, or make the volume as deep as what is seen"
+        f"record {code}, or make the volume as deep as what is seen"
     )
-    return [Finding("warning", "twin_part", share, text)]
+    return _part("twin_part", share, TWIN_WARNING, text, advice)
 
 
 def check_probability(matches: Correspondences, /) -> list[Finding]:
@@ -152,13 +156,18 @@ def check_probability(matches: Correspondences, /) -> list[Finding]:
         return []
     doubtful = float((matches.order_probability[accepted] < DOUBTFUL_ORDER).mean())
     text = f"{doubtful:.1%} of the points have a fringe order less probable than {DOUBTFUL_ORDER:g}"
-    if doubtful <= DOUBTFUL_WARNING:
-        return [Finding("ok", "doubtful_part", doubtful, text)]
-    text += (
+    advice = (
         ": many of them will be wrong by whole periods, and their sigma does not say so. Leave "
         "--min-probability out, or record a code"
     )
-    return [Finding("warning", "doubtful_part", doubtful, text)]
+    return _part("doubtful_part", doubtful, DOUBTFUL_WARNING, text, advice)
+
+
+def _part(name: str, share: float, most: float, text: str, advice: str) -> list[Finding]:
+    """Tell of a part of the pixels; warn, and say what to do, where it is too large."""
+    if share <= most:
+        return [Finding("ok", name, share, text)]
+    return [Finding("warning", name, share, text + advice)]
 
 
 def check_evidence(matches: Correspondences, rival_shift: int, /) -> list[Finding]:
@@ -173,17 +182,15 @@ def check_evidence(matches: Correspondences, rival_shift: int, /) -> list[Findin
     candidates = int((ambiguous | (matches.rejection == 0)).sum())
     share = float(ambiguous.sum() / candidates) if candidates else 0.0
     text = f"{share:.1%} of the pixels fit several fringe orders about equally well"
-    if share <= UNDECIDED_WARNING:
-        return [Finding("ok", "undecided_part", share, text)]
     apart = f", {rival_shift} period(s) apart" if rival_shift else ""
     bit = 0 if rival_shift % 2 else 1
-    text += (
+    advice = (
         f"{apart}; they are rejected as AMBIGUOUS. What would tell: the rig's calibration bias, "
         "learnt once from a well-structured scan (fringe3d calibrate bias); image "
         f"{bit} (0 is the finest) of a cyclic Gray code; a narrower depth range (--depth MIN:MAX); "
         "or a projector at another angle (fringe3d design --optimise)"
     )
-    return [Finding("warning", "undecided_part", share, text)]
+    return _part("undecided_part", share, UNDECIDED_WARNING, text, advice)
 
 
 def check_bias(used: CalibrationBias | None, stored: CalibrationBias | None, /) -> list[Finding]:
