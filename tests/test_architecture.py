@@ -32,9 +32,22 @@ ALLOWED: dict[str, set[str]] = {
     "evaluate": {"errors"},
     # What the user wants, and which method that allows: the design's counts say it beforehand.
     "options": NOUNS,
-    "methods": NOUNS | {"correspond", "decode", "design", "options", "patterns"},
-    # It asks health whether the projector belongs to the cameras before it lets it judge.
-    "matching": NOUNS | {"correspond", "decode", "triangulate", "health", "options"},
+    "segments": NOUNS | {"design"},
+    "methods": NOUNS | {"correspond", "decode", "design", "options", "patterns", "segments"},
+    # It asks health whether the projector belongs to the cameras before it lets it judge. How many
+    # periods C2 sees on a segment is known from the images alone.
+    "matching": NOUNS
+    | {
+        "correspond",
+        "decode",
+        "design",
+        "geometry",
+        "health",
+        "options",
+        "patterns",
+        "segments",
+        "triangulate",
+    },
     "pipeline": NOUNS
     | {"decode", "correspond", "matching", "methods", "options", "triangulate", "health"},
     # What recordings tell of a rig: it decodes and solves as a measurement does.

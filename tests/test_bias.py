@@ -15,7 +15,7 @@ from cv_lens import cv_project, cv_rays
 from fringe3d.correspond import Task, TwoViews
 from fringe3d.correspond._orders import weigh
 from fringe3d.correspond.bias import Evidence, Frame, frame_of, joined, learn_bias
-from fringe3d.correspond.weighing import swapped, swapped_bias
+from fringe3d.correspond.both_ways import swapped, swapped_bias
 from fringe3d.model import CalibrationBias, Device, Rig
 
 pytestmark = pytest.mark.usefixtures("one_thread")

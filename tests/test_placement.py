@@ -33,7 +33,7 @@ def measured(rig: Rig, views: TwoViews) -> tuple[ChosenOrders, Correspondences]:
     assert rig.volume is not None
     chosen = choose_orders(views, rig.projector, rig.volume)
     known = views.phases1.rejecting(chosen.phases.rejection)
-    return chosen, match_cameras(known, views.phases2, *rig.cameras, rig.volume)
+    return chosen, match_cameras(known, views.phases2, rig.cameras[0], rig.cameras[1], rig.volume)
 
 
 def without(matches: Correspondences, reason: Rejection) -> Correspondences:
@@ -43,10 +43,15 @@ def without(matches: Correspondences, reason: Rejection) -> Correspondences:
                    order_probability=None)  # fmt: skip
 
 
-def placed(rig: Rig, matches: Correspondences, chosen: ChosenOrders) -> PointMap:
+def filled(rig: Rig, matches: Correspondences, chosen: ChosenOrders) -> Correspondences:
+    camera1, camera2 = rig.cameras
     assert rig.projector is not None
-    found = place_lost(matches, chosen, *rig.cameras, rig.projector)
-    return triangulate(found, *rig.cameras)
+    return place_lost(matches, chosen, camera1, camera2, rig.projector)
+
+
+def placed(rig: Rig, matches: Correspondences, chosen: ChosenOrders) -> PointMap:
+    camera1, camera2 = rig.cameras
+    return triangulate(filled(rig, matches, chosen), camera1, camera2)
 
 
 def errors_of(rig: Rig, points: PointMap, truth: np.ndarray) -> np.ndarray:
@@ -82,8 +87,7 @@ def test_what_the_search_found_stays_as_it_is() -> None:
     rejection[::2] = half.rejection[::2]
     pixels = np.where((rejection == 0)[..., None], matches.pixels, np.nan)
     mixed = replace(matches, rejection=rejection, pixels=pixels, order_probability=None)
-    assert rig.projector is not None
-    found = place_lost(mixed, chosen, *rig.cameras, rig.projector)
+    found = filled(rig, mixed, chosen)
     kept = rejection == 0
     np.testing.assert_array_equal(found.pixels[kept], matches.pixels[kept])
     np.testing.assert_array_equal(found.sigma_px[kept], matches.sigma_px[kept])
@@ -93,13 +97,17 @@ def test_what_the_search_found_stays_as_it_is() -> None:
 def test_pixels_without_an_order_stay_lost() -> None:
     rig = small_rig(projector_azimuth_deg=-18.0)
     chosen, matches = measured(rig, views_of(rig, PLANE))
-    none = replace(chosen, phases=chosen.phases.rejecting(np.uint16(Rejection.AMBIGUOUS)))
+    none = replace(
+        chosen,
+        phases=chosen.phases.rejecting(
+            np.full_like(matches.rejection, np.uint16(Rejection.AMBIGUOUS))
+        ),
+    )
     lost = without(matches, Rejection.NO_MATCH)
-    assert rig.projector is not None
-    found = place_lost(lost, none, *rig.cameras, rig.projector)
+    found = filled(rig, lost, none)
     np.testing.assert_array_equal(found.rejection, lost.rejection)
     outside = without(matches, Rejection.OUTSIDE_VIEW)
-    found = place_lost(outside, chosen, *rig.cameras, rig.projector)
+    found = filled(rig, outside, chosen)
     assert (found.rejection[matches.rejection == 0] == Rejection.OUTSIDE_VIEW).all()
 
 
@@ -112,7 +120,7 @@ def test_the_bias_moves_them_to_where_the_cameras_would_put_them() -> None:
     wrong = replace(true, projector=turned(true.projector, "y", 0.01))
     chosen, _ = measured(wrong, views)
     _, matches = measured(true, views)
-    by_cameras = triangulate(matches, *true.cameras)
+    by_cameras = triangulate(matches, true.cameras[0], true.cameras[1])
     points = placed(wrong, without(matches, Rejection.NO_MATCH), chosen)
     unbiased = replace(chosen, place_px=np.zeros_like(chosen.place_px))
     raw = placed(wrong, without(matches, Rejection.NO_MATCH), unbiased)

@@ -65,6 +65,24 @@ def test_a_depth_jump_of_several_periods_is_measured_with_a_full_and_a_reduced_c
         assert wrong < 0.001
 
 
+def test_a_code_too_short_for_the_segments_of_two_cameras_is_refused() -> None:
+    """45 % of the points on teeth would be wrong, most of them hidden from C2, which shows a twin
+    alone. Too few pixels are ambiguous to tell. Two images of half cells number 4 periods, three 8.
+    """
+    made = PRESETS["kolibri"](SIZE)
+    teeth = prepare(made.rig, made.scene(OBJECTS["teeth"](), background="none"))
+    scan = record(teeth, plan_of(teeth, "m1"), seed=1)
+    alone = replace(scan, rig=replace(teeth.rig, projector=None))
+    words = r"up to 4 periods.*in 'c2', found up to [78].*3 cyclic code images \(4 if over"
+    for method in ("auto", "m2"):
+        with pytest.raises(MethodError, match=words):
+            measure(alone, MeasureOptions(gray_bits=2, method=method))
+    found, wrong = judged(teeth, measure(alone, MeasureOptions(gray_bits=3)))
+    found_m1, wrong_m1 = judged(teeth, measure(alone))
+    assert found > found_m1 - 0.01
+    assert wrong < wrong_m1 + 0.01
+
+
 def test_the_projector_keeps_hidden_surfaces_out_of_two_cameras(bodies: Stage) -> None:
     """Without it C2's edge pixels, which mix two phases, pass for points that C2 does not see."""
     scan = record(bodies, plan_of(bodies, "m1"), seed=1)

@@ -6,9 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fringe3d.correspond import (
     TwoViews,
+    Witnesses,
     choose_orders,
     depths_of_orders,
     fringe_crossing,
@@ -18,17 +20,28 @@ from fringe3d.correspond import (
     place_lost,
 )
 from fringe3d.decode import CameraPhases, has_mirrored_neighbours
+from fringe3d.design.gray import BEYOND
 from fringe3d.errors import MethodError
-from fringe3d.health import check_trinocular
+from fringe3d.geometry import project
+from fringe3d.health import Finding, check_trinocular, check_twins
 from fringe3d.model import (
     NO_ORDER,
     CalibrationBias,
     Correspondences,
     Device,
     MeasuringVolume,
+    PhaseMap,
     Rejection,
 )
 from fringe3d.options import MeasureOptions
+from fringe3d.patterns import across
+from fringe3d.segments import (
+    MOST_TWINS,
+    code_in_words,
+    segments_in_camera,
+    told_apart,
+    too_long,
+)
 from fringe3d.triangulate import triangulate
 
 MIN_CROSSING_SINE = 0.05
@@ -53,11 +66,13 @@ class Matched:
     bias : CalibrationBias or None; with which the orders were chosen, stored or learnt
     rival_shift : int; periods between the orders taken and those of the best other solution that
         the images leave possible; 0 where there is none
+    findings : tuple of Finding; what the search itself gave reason to say
     """
 
     matches: Correspondences
     bias: CalibrationBias | None = None
     rival_shift: int = 0
+    findings: tuple[Finding, ...] = ()
 
 
 def best_direction_first(
@@ -94,6 +109,8 @@ def match(
     method: str,
     options: MeasureOptions,
     bias: CalibrationBias | None = None,
+    cameras: Sequence[Device] = (),
+    previous_mm: NDArray[np.float64] | None = None,
 ) -> Matched:
     """Find the correspondences of C1 with the second camera, or with the projector.
 
@@ -106,6 +123,9 @@ def match(
     method : str; as settled, see `fringe3d.methods`
     options : MeasureOptions; how strict
     bias : CalibrationBias or None; of the rig, where it is known
+    cameras : Device of further cameras, whose phases follow those of `camera` and `other`; M6 asks
+        them, too
+    previous_mm : (row, col, 3) float or None; points of the frame before, for M6
 
     Returns
     -------
@@ -114,7 +134,8 @@ def match(
     Raises
     ------
     MethodError
-        If the code does not tell neighbouring periods apart, and nothing else does.
+        If the code does not tell neighbouring periods apart, and nothing else does; or if it tells
+        too few apart for the segments in C2, which are searched where there is no projector.
     """
     if other.role == "projector":
         maps = [direction.main for direction in phases[0].directions[:2]]
@@ -127,8 +148,17 @@ def match(
         return Matched(match_both_directions(first, second, camera, other))
     if method not in ("m4", "m6"):
         views = replace(views, second1=None, second2=None)
+    if method != "m6":
+        views = replace(views, periods1=(), periods2=())
     if projector is not None and volume is not None and _may_judge(views, projector, volume):
-        return _match_three(views, projector, volume, method, options, bias)
+        witnesses = None
+        if method == "m6":
+            seen = [p.directions[0].like(views.phases1) for p in phases[2:]]
+            turns = _turns_of(previous_mm, projector, views.phases1)
+            witnesses = Witnesses(
+                cameras=tuple(zip(cameras, seen, strict=True)), previous_turns=turns
+            )
+        return _match_three(views, projector, volume, method, options, bias, witnesses)
     if has_mirrored_neighbours(views.phases1):
         raise MethodError(
             "--gray-bits: the finest images of a plain code repeat mirrored and do not tell all "
@@ -136,8 +166,40 @@ def match(
             "where. Keep all, or record an over-determined code (cells of half a period) or a "
             "cyclic one"
         )
-    return Matched(match_cameras(views.phases1, views.phases2, camera, other, volume,
-                                 second=views.second))  # fmt: skip
+    findings = _require_short_segments(views, volume, method)
+    matches = match_cameras(
+        views.phases1, views.phases2, camera, other, volume, second=views.second
+    )
+    return Matched(matches, findings=tuple(findings))
+
+
+def _require_short_segments(
+    views: TwoViews, volume: MeasuringVolume | None, method: str
+) -> list[Finding]:
+    """Raise MethodError where C2 holds more periods than the code tells apart.
+
+    Points that C2 does not see would take their twin on the segment, and nothing shows it. What
+    lies beyond the volume is not refused, for it may not be there: the finding tells.
+    """
+    if views.phases1.is_absolute or views.second is not None or volume is None:
+        return []
+    gradient, _ = fringe_crossing(views.phases2, views.camera1, views.camera2)
+    if not gradient > 0:
+        return []  # nothing is decoded
+    segments = segments_in_camera(
+        views.camera1,
+        views.camera2,
+        volume,
+        period_px=views.phases1.period_px,
+        camera_period_px=2 * np.pi / gradient,
+    )
+    n = told_apart(views.phases1.class_of_order)
+    if segments.twins(n) > MOST_TWINS:
+        raise MethodError(too_long(method, segments, views.phases1))
+    return check_twins(
+        segments.twins(n, beyond=BEYOND),
+        code=code_in_words(segments.needs.bits_beyond, views.phases1),
+    )
 
 
 def two_views(phases: Sequence[CameraPhases], camera: Device, other: Device, /) -> TwoViews:
@@ -152,6 +214,8 @@ def two_views(phases: Sequence[CameraPhases], camera: Device, other: Device, /) 
         phases2=first2.like(first1.main),
         second1=second1,
         second2=more2[0].like(second1) if second1 is not None else None,
+        periods1=first1.other_periods,
+        periods2=first2.other_periods,
     )
 
 
@@ -162,6 +226,7 @@ def _match_three(
     method: str,
     options: MeasureOptions,
     bias: CalibrationBias | None,
+    witnesses: Witnesses | None,
 ) -> Matched:
     """Choose the order by projector and C2 together, then find its point in C2."""
     least = options.min_order_probability
@@ -173,6 +238,7 @@ def _match_three(
         volume,
         bias=bias if bias is not None and bias.fits(views.phases1.angle) else None,
         search=method == "m6",
+        witnesses=witnesses,
         min_probability=least,
         together=method != "m3",
         strict=options.strict,
@@ -186,7 +252,7 @@ def _match_three(
         volume,
         depths_mm=depths_of_orders(chosen.phases, views.camera1, projector, chosen.half_px),
     )
-    if method != "m1" and not options.strict:  # M1, the reference, rests on the cameras alone
+    if method != "m1":  # M1, the reference, rests on the cameras alone
         matches = place_lost(matches, chosen, views.camera1, views.camera2, projector)
     good = matches.rejection == 0
     matches = replace(
@@ -195,6 +261,16 @@ def _match_three(
         order_probability=np.where(good, chosen.probability, np.nan),
     )
     return Matched(matches, chosen.bias, chosen.rival_shift)
+
+
+def _turns_of(
+    points_mm: NDArray[np.float64] | None, projector: Device, phases: PhaseMap
+) -> NDArray[np.float64] | None:
+    """Return the absolute phase, periods, that the projector gives points (row, col, 3)."""
+    if points_mm is None:
+        return None
+    x, y = np.moveaxis(project(projector, points_mm), -1, 0)
+    return across(phases.angle, x, y) / phases.period_px
 
 
 def _may_judge(views: TwoViews, projector: Device, volume: MeasuringVolume) -> bool:

@@ -40,8 +40,7 @@ class MeasureOptions:
         threshold of the code
     depth_mm : (min, max) or None, mm; depth range along the principal ray of C1, besides the
         rig's volume
-    strict : bool; metrology: only orders that are certain, residuals that fit well, and larger
-        patches
+    strict : bool; metrology: only orders that are certain
     drop_edges : bool; no points within two pixels of a depth edge, where light of two surfaces
         mixes
     min_modulation_dn : float or None, DN

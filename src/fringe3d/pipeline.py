@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fringe3d.correspond import twin_share
-from fringe3d.decode import CameraPhases, decode
+from fringe3d.decode import CameraPhases, decode, decode_apart
 from fringe3d.errors import CalibrationError, EmptyResultError, Fringe3DError, MethodError
 from fringe3d.health import (
     Finding,
@@ -55,7 +55,7 @@ __all__ = ["MeasureOptions", "Measurement", "measure", "point_cloud"]
 GAP_FACTOR = 10.0
 """Neighbouring pixels belong to one surface up to ten typical distances: slopes up to 84 deg."""
 
-MIN_PATCH_PIXELS, STRICT_PATCH_PIXELS = 30, 100
+MIN_PATCH_PIXELS = 30
 
 SPARSE_REACH_PX = 3
 """Gray code alone leaves out the pixels on the edges of its cells."""
@@ -109,7 +109,12 @@ class Measurement:
 
 
 def measure(
-    scan: Scan, options: MeasureOptions | None = None, /, *, stage: Callable[[str], object] = str
+    scan: Scan,
+    options: MeasureOptions | None = None,
+    /,
+    *,
+    stage: Callable[[str], object] = str,
+    previous_mm: NDArray[np.float64] | None = None,
 ) -> Measurement:
     """Measure: decode, find correspondences, triangulate, check.
 
@@ -118,6 +123,8 @@ def measure(
     scan : Scan
     options : MeasureOptions or None (defaults)
     stage : called with the name of each stage as it begins
+    previous_mm : (row, col, 3) float or None, mm; points of the frame before in the pixels of C1,
+        NaN where there are none; method M6 starts from their fringe orders
 
     Returns
     -------
@@ -161,8 +168,10 @@ def measure(
     projector = scan.rig.projector
     with clock("finding correspondences"):
         matched = match(phases, camera, other, projector, volume, method=choice.method,
-                        options=options, bias=scan.rig.bias)  # fmt: skip
+                        options=options, bias=scan.rig.bias, previous_mm=previous_mm,
+                        cameras=_further_cameras(scan.rig, stacks))  # fmt: skip
         matches = matched.matches
+        findings += matched.findings
         if choice.method == "m6":
             findings += check_evidence(matches, matched.rival_shift)
         else:
@@ -198,13 +207,21 @@ def _devices(rig: Rig, stacks: Sequence[ImageStack], method: str) -> tuple[Devic
     return camera, cameras[stacks[1].device_name]
 
 
+def _further_cameras(rig: Rig, stacks: Sequence[ImageStack]) -> list[Device]:
+    cameras = {camera.name: camera for camera in rig.cameras}
+    return [cameras[stack.device_name] for stack in stacks[2:]]
+
+
 def _decode(
     stack: ImageStack, rig: Rig | None, method: str, options: MeasureOptions
 ) -> CameraPhases:
     """Decode one camera; two directions of Gray code alone give the projector's whole pixels."""
+    shape = rig.projector.shape if rig is not None and rig.projector is not None else None
+    if method == "m6":
+        return decode_apart(stack, shape, min_modulation_dn=options.min_modulation_dn)
     return decode(
         stack,
-        rig.projector.shape if rig is not None and rig.projector is not None else None,
+        shape,
         min_modulation_dn=options.min_modulation_dn,
         whole_cells=method == "projector" and len(stack.plan.angles) > 1,
     )
@@ -224,9 +241,8 @@ def _clean(points: PointMap, options: MeasureOptions, main: PhaseMap) -> PointMa
         return points
     if options.drop_edges:
         points = remove_edges(points, max_gap_mm=gap)
-    size = STRICT_PATCH_PIXELS if options.strict else MIN_PATCH_PIXELS
     reach = SPARSE_REACH_PX if main.is_quantised else 1
-    return remove_isolated(points, max_gap_mm=gap, min_pixels=size, reach_px=reach)
+    return remove_isolated(points, max_gap_mm=gap, min_pixels=MIN_PATCH_PIXELS, reach_px=reach)
 
 
 def _finish(result: Measurement, clock: _Clock) -> Measurement:

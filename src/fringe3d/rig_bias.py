@@ -25,7 +25,8 @@ class LearntBias:
     Parameters
     ----------
     bias : CalibrationBias
-    certainty : float, 0 to 1; weight of this solution among all that the images leave possible
+    certainty : float, 0 to 1; mean weight of the solutions that give a pixel the same order, among
+        all that the images leave possible
     n_solutions : int; solutions that are not ruled out
     decided_part : float; of the decoded pixels, those whose order this solution shares with all
     """
@@ -94,7 +95,7 @@ def learn_rig_bias(
     source = ", ".join(scan.title or f"scan {number + 1}" for number, scan in enumerate(scans))
     return LearntBias(
         bias=replace(found.best, source=source),
-        certainty=float(found.weights[0]),
+        certainty=float(np.mean(np.concatenate(agree))),
         n_solutions=len(found.solutions),
         decided_part=float(np.mean(np.concatenate(agree) > LEAST_CERTAINTY)),
     )
@@ -113,6 +114,7 @@ def _task(
     camera1, camera2 = (cameras[stack.device_name] for stack in stacks[:2])
     phases = tuple(decode(stack, projector.shape) for stack in stacks)
     phases = best_direction_first(phases, camera1, camera2)
-    views = replace(two_views(phases, camera1, camera2), second1=None, second2=None)
+    views = replace(two_views(phases, camera1, camera2), second1=None, second2=None,
+                    periods1=(), periods2=())  # fmt: skip
     stride = coarse_stride(views.phases1.phase)
     return Task(views, projector, volume, FIT_SIGMA**2, together=True, stride=stride)

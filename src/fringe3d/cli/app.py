@@ -34,6 +34,7 @@ def measure(
     drop_edges: Annotated[bool, Parameter(negative=())] = False,
     min_modulation: Annotated[float | None, Parameter(validator=at_least(0))] = None,
     min_probability: Annotated[float | None, Parameter(validator=at_least(0, 1))] = None,
+    previous: Path | None = None,
     overwrite: Overwrite = False,
     as_json: Json = False,
 ) -> None:
@@ -69,7 +70,7 @@ def measure(
     depth
         MIN:MAX, mm along the principal ray of C1; needed with few bits.
     strict
-        Metrology: fewer wrong points, at the price of uncertain ones and small patches.
+        Metrology: fewer wrong points, at the price of uncertain ones.
     drop_edges
         Leave out points next to depth edges, where light of two surfaces mixes.
     min_modulation
@@ -77,15 +78,18 @@ def measure(
     min_probability
         Reject fringe orders that are less probable, 0 to 1: 0.9 by default, 0.99 if strict; 0 takes
         the best that fits.
+    previous
+        Result of the frame before, of the same rig: m6 starts from its fringe orders.
     """
     from fringe3d.io.atomic import require_writable
     from fringe3d.io.importing import parse_depth
     from fringe3d.io.recording import read_scan
+    from fringe3d.io.results import read_points_mm
     from fringe3d.options import MeasureOptions
     from fringe3d.pipeline import measure as run
     from fringe3d.report.folder import Request, measure_record, summary, write_result
 
-    require_writable(out, overwrite=overwrite, inputs=(scan, images, rig))
+    require_writable(out, overwrite=overwrite, inputs=(scan, images, rig, previous))
     options = MeasureOptions(
         method=method,
         direction=direction,
@@ -99,10 +103,12 @@ def measure(
         min_order_probability=min_probability,
     )
     command = shlex.join(["fringe3d", *sys.argv[1:]])
-    request = Request(command=command, scan=scan, images=images, rig=rig)
+    request = Request(command=command, scan=scan, images=images, rig=rig, previous=previous)
     with Reporter(quiet=as_json).running() as reporter:
         recording = read_scan(scan, images=images, rig=rig, progress=reporter.step)
-        result = run(recording, options, stage=reporter.stage)
+        shape = recording.stacks[0].images.shape[1:]
+        before = read_points_mm(previous, shape=shape) if previous else None
+        result = run(recording, options, stage=reporter.stage, previous_mm=before)
         reporter.stage("writing")
         write_result(out, recording, options, result, request=request, overwrite=overwrite)
     if result.method != "phase":

@@ -14,6 +14,7 @@ from fringe3d.correspond.projector import (
 from fringe3d.correspond.solving import Rivals, coarse_stride, rivals
 from fringe3d.correspond.stereo import fringe_crossing, match_cameras
 from fringe3d.correspond.weighing import Task, TwoViews
+from fringe3d.correspond.witnesses import Witnesses
 
 __all__ = [
     "FIT_SIGMA",
@@ -22,6 +23,7 @@ __all__ = [
     "Rivals",
     "Task",
     "TwoViews",
+    "Witnesses",
     "choose_orders",
     "coarse_stride",
     "depths_of_orders",

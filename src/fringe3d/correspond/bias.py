@@ -20,7 +20,7 @@ LEAST_PART, LEAST_PIXELS = 0.2, 2000
 """Fewer clear decisions tell nothing about the rest."""
 
 LEAST_SCATTER_PX = 0.04
-SAMPLE = 20_000
+SAMPLE = 8_000
 ROUNDS = 8
 MAD_TO_SIGMA = 1.4826
 

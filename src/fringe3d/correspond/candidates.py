@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fringe3d.correspond._orders import DIFFERENCE, RATIO
+from fringe3d.correspond.both_ways import agrees_with_c2, swapped, swapped_bias
 from fringe3d.correspond.solving import coarse_stride, rivals, solve
 from fringe3d.correspond.visibility import takes_foreign_light
 from fringe3d.correspond.weighing import (
@@ -20,10 +21,8 @@ from fringe3d.correspond.weighing import (
     Choice,
     Task,
     TwoViews,
-    agrees_with_c2,
-    swapped,
-    swapped_bias,
 )
+from fringe3d.correspond.witnesses import Witnesses, ask
 from fringe3d.model import (
     NO_ORDER,
     CalibrationBias,
@@ -80,6 +79,7 @@ def choose_orders(
     *,
     bias: CalibrationBias | None = None,
     search: bool = False,
+    witnesses: Witnesses | None = None,
     min_probability: float = 0.9,
     fit_sigma: float = FIT_SIGMA,
     together: bool = True,
@@ -101,6 +101,7 @@ def choose_orders(
     bias : CalibrationBias or None; of the rig; None learns it from the images
     search : bool; where the bias is not known, look for all that go with the images. Where they
         come with different orders, these are less probable
+    witnesses : Witnesses or None; further cameras, and the frame before
     min_probability : float; less probable orders are AMBIGUOUS; 0 takes the best that fits
     fit_sigma : float; residuals beyond are no fit
     together : bool; decide with the evidence of all pixels along eight paths through each, on
@@ -117,13 +118,17 @@ def choose_orders(
     phi_2|)**2 + m**2`` with q the phase that C2 sees over that of the projector along the ray,
     c the calibration's error in C2, px, and m = 0.0015.
     """
+    witnesses, is_known, rival = witnesses or Witnesses(), bias is not None, None
     task = Task(views, projector, volume, fit_sigma**2, together)
-    rival = None
-    if search and bias is None:
+    panel = ask(task, witnesses, projector, volume)
+    if search and not is_known:
         stride = coarse_stride(views.phases1.phase)
-        rival = rivals([Task(views, projector, volume, fit_sigma**2, together, stride)])
+        coarse = Task(views, projector, volume, fit_sigma**2, together, stride)
+        ask(coarse, witnesses, projector, volume)
+        rival = rivals([coarse])
         bias = rival.best if rival is not None else None
     chosen, bias = solve(task, bias)
+    chosen, bias = panel.asked_again(chosen, bias, is_known=is_known or rival is not None)
     if rival is not None:
         agreement = rival.agreement(views.phases1.phase.shape)[task.valid]
         chosen = replace(chosen, probability=chosen.probability * agreement)

@@ -7,7 +7,7 @@ nearest to its start. So it starts at several places, and what comes out is comp
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,11 +19,13 @@ from fringe3d.correspond.weighing import (
     CLEAR,
     EXPECTED_CALIBRATION_PX,
     LARGEST_COST,
+    LARGEST_EXTRA,
     Choice,
     Task,
 )
 from fringe3d.geometry import project, rays
 from fringe3d.model import NO_ORDER, CalibrationBias
+from fringe3d.model.bias import N_TERMS
 
 STARTS_PX = tuple(0.2 * step for step in range(-4, 5))
 """Along the epipolar lines; a nearly symmetric rig has another solution every quarter pixel."""
@@ -33,6 +35,9 @@ START_SCATTER_PX, JUDGED_SCATTER_PX = 0.15, 0.08
 
 N_REFINED, ROUNDS = 3, 2
 """Solutions that are refined, and how often."""
+
+N_LOOKS, NUDGE_PX = 5, 0.3
+"""How often better solutions are sought around the best one, and how far away."""
 
 N_SURFACES, LEAST_SURFACE = 2, 0.03
 """Surfaces that may be right where others are not: the largest, of so many of the pixels. What one
@@ -107,8 +112,17 @@ def solve(task: Task, bias: CalibrationBias | None) -> tuple[Choice, Calibration
 
 
 def _learnt_once(task: Task) -> CalibrationBias:
-    start = task.frame.constant((0.0, 0.0), scatter_px=EXPECTED_CALIBRATION_PX)
-    return _learnt([task], [task.decide(start)], None) or start
+    return learnt_from(task, task.decide(nothing_known(task)))
+
+
+def learnt_from(task: Task, chosen: Choice, /) -> CalibrationBias:
+    """Return the bias that the clear ones of given decisions show; unknown if they are too few."""
+    return _learnt([task], [chosen], None) or nothing_known(task)
+
+
+def nothing_known(task: Task, /) -> CalibrationBias:
+    """Return a bias of 0 that may be wrong by as much as calibrations are."""
+    return task.frame.constant((0.0, 0.0), scatter_px=EXPECTED_CALIBRATION_PX)
 
 
 def rivals(tasks: Sequence[Task], /) -> Rivals | None:
@@ -124,9 +138,10 @@ def rivals(tasks: Sequence[Task], /) -> Rivals | None:
 
     Notes
     -----
-    The weight is ``exp(-E)``, ``E = n_patches * mean(min(r^2 / 2 sigma^2, 1.2) + 5 jumps) + |c /
-    prior|^2 / 2``: neighbours within a patch share their errors and count once; a jump of the
-    absolute phase between neighbours is a depth edge, of which all solutions see the true ones.
+    The weight is ``exp(-E)``, ``E = n_patches * mean(min(r^2 / 2 sigma^2, 1.2) + others + 5 jumps)
+    + |c / prior|^2 / 2``, others being the costs of further fringes and of the frame before.
+    Neighbours within a patch share their errors and count once; a jump of the absolute phase
+    between neighbours is a depth edge, of which all solutions see the true ones.
     """
     tasks = [task for task in tasks if len(task.pixels)]
     if not tasks:
@@ -144,10 +159,44 @@ def rivals(tasks: Sequence[Task], /) -> Rivals | None:
                 found.append(refined)
     if not found:
         return None
-    found.sort(key=lambda s: s.energy)
+    _look_around(tasks, found, way)
     weights = np.exp([found[0].energy - s.energy for s in found])
     n = int((weights > LEAST_WEIGHT).sum())
     return Rivals(tuple(tasks), tuple(found[:n]), weights[:n] / weights[:n].sum())
+
+
+def _look_around(tasks: Sequence[Task], found: list[Solution], way: NDArray[np.float64]) -> None:
+    """Add the solutions around the best one as long as there are better ones, and sort all.
+
+    A start in the wrong valley shows itself by this: one term of the bias, moved by as much as
+    calibrations are wrong by, leads to a better one.
+    """
+    found.sort(key=lambda s: s.energy)
+    for _ in range(N_LOOKS):
+        best = found[0]
+        for other in _around(tasks, best, way):
+            if not any(other.resembles(known) for known in found):
+                found.append(other)
+            if other.energy < best.energy - 1:
+                break
+        found.sort(key=lambda s: s.energy)
+        if found[0] is best:
+            return
+
+
+def _around(
+    tasks: Sequence[Task], solution: Solution, way: NDArray[np.float64]
+) -> Iterator[Solution]:
+    """Yield what comes out where one term of the bias is moved, along the epipolar lines."""
+    for term in range(N_TERMS):
+        for nudge in (NUDGE_PX, -NUDGE_PX):
+            coefficients = solution.bias.coefficients_px.copy()
+            coefficients[:, term] += nudge * way
+            moved = _improved(tasks, replace(
+                solution.bias, coefficients_px=coefficients, scatter_px=START_SCATTER_PX
+            ))  # fmt: skip
+            if moved is not None:
+                yield moved
 
 
 def coarse_stride(phase: NDArray[np.float32], /) -> tuple[int, int]:
@@ -178,7 +227,8 @@ def _judged(tasks: Sequence[Task], bias: CalibrationBias) -> Solution:
         cost = np.fmin(chosen.cost[seen] / 2, LARGEST_COST) * (len(seen) / max(1, seen.sum()))
         turns = absolute_turns(task, chosen.order, chosen.order != NO_ORDER)
         jumps = sum(int((np.abs(np.diff(turns, axis=axis)) > CONTINUOUS).sum()) for axis in (0, 1))
-        energy += (float(cost.sum()) + STEP_PENALTY * jumps) / _n_alike(task)
+        others = np.minimum(chosen.extra / 2, LARGEST_EXTRA)
+        energy += (float(cost.sum()) + float(others.sum()) + STEP_PENALTY * jumps) / _n_alike(task)
         orders.append(chosen.order)
     return Solution(bias, tuple(orders), energy)
 

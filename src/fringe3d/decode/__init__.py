@@ -1,7 +1,15 @@
 """From images to phase: wrapped phase, Gray code, several periods."""
 
+from fringe3d.decode.apart import decode_apart
 from fringe3d.decode.camera import CameraPhases, DirectionPhases, decode
 from fringe3d.decode.order import has_mirrored_neighbours
 from fringe3d.decode.phase import wrapped_phase
 
-__all__ = ["CameraPhases", "DirectionPhases", "decode", "has_mirrored_neighbours", "wrapped_phase"]
+__all__ = [
+    "CameraPhases",
+    "DirectionPhases",
+    "decode",
+    "decode_apart",
+    "has_mirrored_neighbours",
+    "wrapped_phase",
+]

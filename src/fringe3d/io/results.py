@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from pathlib import Path
 from typing import Any
+from zipfile import BadZipFile
 
 import numpy as np
 import tomlkit
 from numpy.typing import NDArray
 
+from fringe3d.errors import MethodError
 from fringe3d.model import PointCloud, Rejection
 
 PLY_VERTEX = np.dtype(
@@ -40,6 +42,36 @@ def write_points(path: Path, maps: dict[str, NDArray[Any]], /) -> None:
     """Write maps on the grid of C1 as NPZ, with the names of the rejection bits."""
     names = np.array([reason.name for reason in Rejection])
     np.savez_compressed(path, allow_pickle=False, rejection_names=names, **maps)
+
+
+def read_points_mm(path: Path, /, *, shape: tuple[int, int]) -> NDArray[np.float64]:
+    """Read the points of an earlier result, (row, col, 3) mm; NaN where there are none.
+
+    Parameters
+    ----------
+    path : Path; folder of the result, or its points.npz
+    shape : (n_rows, n_cols) of C1
+
+    Raises
+    ------
+    MethodError
+        If there are none, or they belong to another camera.
+    """
+    path = path / "points.npz" if path.is_dir() else path
+    try:
+        with np.load(path, allow_pickle=False) as maps:
+            points = np.asarray(maps["points_mm"], np.float64)
+    except (OSError, KeyError, ValueError, BadZipFile):
+        raise MethodError(
+            f"{path}: expected the points of an earlier measurement (points.npz), found none. Name "
+            "the folder that fringe3d measure --out left"
+        ) from None
+    if points.shape != (*shape, 3):
+        raise MethodError(
+            f"{path}: expected points on the {shape[0]} x {shape[1]} pixels (rows x columns) of "
+            f"C1, found {' x '.join(map(str, points.shape[:2]))}. Name a result of the same camera"
+        )
+    return points
 
 
 def toml_document(table: dict[str, Any], /) -> str:

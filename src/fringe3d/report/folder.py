@@ -35,12 +35,14 @@ class Request:
     command : str; the command line
     scan : Path; scan folder or scan file
     images, rig : Path or None; None where the scan file names them
+    previous : Path or None; result of the frame before
     """
 
     command: str
     scan: Path
     images: Path | None = None
     rig: Path | None = None
+    previous: Path | None = None
 
 
 def write_result(
@@ -169,7 +171,12 @@ def measure_record(
         ],
     }  # fmt: skip
     if request is not None:
-        paths = {"scan": request.scan, "images": request.images, "rig": request.rig}
+        paths = {
+            "scan": request.scan,
+            "images": request.images,
+            "rig": request.rig,
+            "previous": request.previous,
+        }
         given = {name: str(path) for name, path in paths.items() if path is not None}
         record["request"] = {"command": request.command, **given}
     if scan.rig is not None:

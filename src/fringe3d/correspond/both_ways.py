@@ -1,0 +1,93 @@
+"""The check both ways: C2, asked in its turn, must find the same orders."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fringe3d.correspond.bias import Frame
+from fringe3d.correspond.weighing import CLEAR, TWO_PI, Choice, Task, TwoViews
+from fringe3d.geometry import project, rays, sheet_crossing
+from fringe3d.model import NO_ORDER, CalibrationBias, Device
+from fringe3d.model.bias import terms_of
+from fringe3d.patterns import across
+
+SAME_ORDER = 0.5
+"""Periods between what C1 and C2 decide for one point."""
+
+BIAS_SAMPLE, BIAS_DEPTHS = 2000, 3
+"""Rays and depths at which a smooth displacement is carried over to the other camera."""
+
+
+def swapped(views: TwoViews, /) -> TwoViews:
+    """Return the views with C1 and C2 exchanged."""
+    return TwoViews(
+        camera1=views.camera2,
+        camera2=views.camera1,
+        phases1=views.phases2,
+        phases2=views.phases1,
+        second1=views.second2,
+        second2=views.second1,
+        periods1=views.periods2,
+        periods2=views.periods1,
+    )
+
+
+def swapped_bias(
+    bias: CalibrationBias, task: Task, projector: Device, frame: Frame
+) -> CalibrationBias:
+    """Return the same bias as C2 and the projector see it in C1.
+
+    A pixel of C1 and a light sheet place a point; C2 sees it displaced. From there, with the same
+    sheet, C2 places another point, which C1 sees displaced against its pixel.
+    """
+    views, angle = task.views, task.views.phases1.angle
+    index = np.linspace(0, len(task.pixels) - 1, BIAS_SAMPLE).astype(int)
+    pixels = np.repeat(task.pixels[index], BIAS_DEPTHS, axis=0)
+    parts = np.tile(np.linspace(0, 1, BIAS_DEPTHS), len(index))
+    near, far = np.repeat(task.wide_ends[index], BIAS_DEPTHS, axis=0).T
+    depths = near + parts * (far - near)
+    origin, directions = rays(views.camera1, pixels)
+    points = origin + depths[:, None] * directions
+    x, y = project(projector, points).T
+    seen = project(views.camera2, points) - bias.displacement(pixels, depths)
+    origin2, directions2 = rays(views.camera2, seen)
+    depths2 = sheet_crossing(projector, origin2, directions2, across(angle, x, y), angle)
+    missed = project(views.camera1, origin2 + depths2[:, None] * directions2) - pixels
+    usable = np.isfinite(missed).all(axis=1)
+    terms = terms_of(seen[usable], depths2[usable], frame.middle, frame.scale)
+    coefficients = np.linalg.lstsq(terms, missed[usable])[0].T.astype(np.float64)
+    return frame.bias(coefficients.ravel(), scatter_px=bias.scatter_px)
+
+
+def agrees_with_c2(
+    task: Task, chosen: Choice, back: Task, chosen_back: Choice, *, strict: bool
+) -> NDArray[np.bool_]:
+    """Tell whether C2, asked in its turn, found the same order where it sees the point.
+
+    A point that something hides from C2 fits what C2 sees there by chance. One pixel around it
+    that agrees is enough, and so is that none is certain of its order; if strict, one that is
+    certain must agree.
+    """
+    camera2, phases2 = task.views.camera2, task.views.phases2
+    origin, directions = rays(task.views.camera1, task.pixels)
+    places = project(camera2, origin + chosen.depth_mm[:, None] * directions)
+    turns1 = chosen.order + task.first[0] / TWO_PI
+    decided = chosen_back.order != NO_ORDER
+    certain = decided & (chosen_back.probability > CLEAR) & (chosen_back.cost <= task.limit)
+    turns2, certain2 = np.full(camera2.shape, np.nan), np.zeros(camera2.shape, bool)
+    turns2[back.valid] = np.where(
+        decided, chosen_back.order + phases2.phase[back.valid] / TWO_PI, np.nan
+    )
+    certain2[back.valid] = certain
+    col, row = np.rint(np.nan_to_num(places, nan=-9)).astype(np.int64).T
+    n_certain, n_agree = np.zeros(len(row), np.int64), np.zeros(len(row), np.int64)
+    for down in (-1, 0, 1):
+        for right in (-1, 0, 1):
+            y, x = row + down, col + right
+            inside = (y >= 0) & (x >= 0) & (y < camera2.n_rows) & (x < camera2.n_cols)
+            y, x = np.where(inside, y, 0), np.where(inside, x, 0)
+            n_certain += inside & certain2[y, x]
+            agrees = inside & (np.abs(turns2[y, x] - turns1) < SAME_ORDER)
+            n_agree += agrees & (certain2[y, x] | (not strict))
+    return np.asarray((n_agree > 0) | ((n_certain == 0) & (not strict)))

@@ -1,0 +1,86 @@
+"""More evidence for fringe orders: further cameras, and the frame before."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fringe3d.correspond._orders import DIFFERENCE
+from fringe3d.correspond.solving import learnt_from, nothing_known, solve
+from fringe3d.correspond.weighing import LARGEST_COST, Candidates, Choice, Task
+from fringe3d.model import CalibrationBias, Device, MeasuringVolume, PhaseMap
+
+MOTION_TURNS = 0.5
+"""Periods by which the absolute phase of a pixel typically changes between two frames."""
+
+LARGEST_MEMORY = 1.0
+"""Squared deviations from the frame before: less than what C2 may say of this one."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Witnesses:
+    """What else is known of the orders in C1.
+
+    Parameters
+    ----------
+    cameras : tuple of (Device, PhaseMap); further cameras, and the phases of the same fringes there
+    previous_turns : (row, col) float or None, periods; absolute phase of C1 in the frame before,
+        NaN where it is not known
+    """
+
+    cameras: tuple[tuple[Device, PhaseMap], ...] = ()
+    previous_turns: NDArray[np.float64] | None = None
+
+
+def ask(task: Task, witnesses: Witnesses, projector: Device, volume: MeasuringVolume, /) -> Panel:
+    """Let the frame before and further cameras speak for the candidates of a task.
+
+    Where something else is seen by now, the cameras outvote the frame before. Of the calibration of
+    further cameras nothing is known as yet: see `Panel.asked_again`.
+    """
+    if witnesses.previous_turns is not None:
+        before = witnesses.previous_turns[task.grid][task.valid]
+        turns = task.listed.orders + (task.first[0] / (2 * np.pi))[:, None]
+        change = (turns - before[:, None]) / MOTION_TURNS
+        task.hear(np.fmin(change**2, LARGEST_MEMORY))
+    panel = Panel(task, task.listed, tuple(
+        Task(replace(task.views, camera2=camera, phases2=phases, second1=None, second2=None,
+                     periods1=(), periods2=()),
+             projector, volume, task.limit, task.together, task.stride)
+        for camera, phases in witnesses.cameras
+    ))  # fmt: skip
+    panel.hear([nothing_known(other) for other in panel.others])
+    return panel
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Panel:
+    """A task, its candidates before further cameras were heard, and what these show of them."""
+
+    task: Task
+    before: Candidates
+    others: tuple[Task, ...]
+
+    def hear(self, biases: Sequence[CalibrationBias]) -> None:
+        """Let further cameras speak, each after its bias."""
+        self.task.listed = self.before
+        for other, bias in zip(self.others, biases, strict=True):
+            costs = np.fmin(other.costs(bias), 2 * LARGEST_COST)
+            self.task.hear(np.nan_to_num(costs, nan=2 * LARGEST_COST))
+
+    def asked_again(
+        self, chosen: Choice, bias: CalibrationBias, *, is_known: bool
+    ) -> tuple[Choice, CalibrationBias]:
+        """Choose again, now that the clear decisions show the bias in further cameras, too."""
+        if not self.others:
+            return chosen, bias
+        biases = []
+        for other in self.others:
+            unseen = np.isnan(other.listed.shown[..., DIFFERENCE])
+            costs = np.where(unseen, np.float32(np.nan), chosen.costs)
+            biases.append(learnt_from(other, replace(chosen, candidates=other.listed, costs=costs)))
+        self.hear(biases)
+        return solve(self.task, bias if is_known else None)
