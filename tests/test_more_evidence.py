@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from fringe3d.cli.run import main
+from fringe3d.errors import MethodError
 from fringe3d.io.scanfolder import write_scan
 from fringe3d.model import PatternPlan, Rig, RigidTransform
 from fringe3d.model.plan import fringes
@@ -31,7 +32,7 @@ M6 = MeasureOptions(method="m6")
 
 @pytest.fixture(scope="module")
 def plane() -> Stage:
-    """An isolated plane, which C2 of a symmetric rig sees fit with several orders."""
+    """An isolated plane, on which C2 of a symmetric rig hardly tells orders apart."""
     made = PRESETS["kolibri"](SIZE)
     return prepare(made.rig, made.scene(OBJECTS["plane"](), background="none"))
 
@@ -57,13 +58,7 @@ def plan_of(stage: Stage, *periods_px: float) -> PatternPlan:
     return PatternPlan(patterns=tuple(patterns), projector_shape=stage.rig.projector.shape)
 
 
-def test_one_period_leaves_the_plane_open(plane: Stage) -> None:
-    scan = replace(record(plane, plan_of(plane, 16.0), seed=1), rig=off(plane.rig))
-    right, _ = judged(plane, measure(scan, M6))
-    assert right < 0.9
-
-
-def test_a_second_period_settles_it(plane: Stage) -> None:
+def test_a_second_period(plane: Stage) -> None:
     scan = replace(record(plane, plan_of(plane, 16.0, 18.7), seed=1), rig=off(plane.rig))
     result = measure(scan, M6)
     right, wrong = judged(plane, result)
@@ -73,16 +68,42 @@ def test_a_second_period_settles_it(plane: Stage) -> None:
     assert result.n_images == 8
 
 
-def test_the_frame_before_settles_it(plane: Stage) -> None:
+def test_the_frame_before_goes_with_it(plane: Stage) -> None:
     scan = replace(record(plane, plan_of(plane, 16.0), seed=1), rig=off(plane.rig))
     # The plane came 0.4 mm nearer since: a tenth of the way that one order makes.
     before = plane.truths[0].points_mm + np.array([0.0, 0.0, -0.4])
-    right, wrong = judged(plane, measure(scan, M6, previous_mm=before))
+    result = measure(scan, M6, previous_mm=before)
+    right, wrong = judged(plane, result)
     assert right > 0.99
     assert wrong < 3e-4  # pixels on the border of the plane
+    (told,) = (f for f in result.findings if f.name == "previous_part")
+    assert (told.level, told.value > 0.99) == ("ok", True)
 
 
-def test_a_third_camera_settles_it() -> None:
+def test_a_frame_before_of_another_scene_is_outvoted_and_said(plane: Stage) -> None:
+    """Two periods off along the rays of C1: the points are those of the images alone."""
+    scan = replace(record(plane, plan_of(plane, 16.0), seed=1), rig=off(plane.rig))
+    eye = plane.rig.cameras[0].center_world
+    before = eye + 1.04 * (plane.truths[0].points_mm - eye)
+    result = measure(scan, M6, previous_mm=before)
+    _, wrong = judged(plane, result)
+    assert wrong < 3e-4
+    (told,) = (f for f in result.findings if f.name == "previous_part")
+    assert told.level == "warning"
+
+
+def test_a_frame_before_that_is_of_no_use_is_refused(plane: Stage) -> None:
+    scan = record(plane, plan_of(plane, 16.0), seed=1)
+    before = plane.truths[0].points_mm
+    with pytest.raises(
+        MethodError, match=r"expected points on the pixels of C1.*found \(9, 9, 3\)"
+    ):
+        measure(scan, M6, previous_mm=before[:9, :9])
+    with pytest.raises(MethodError, match=r"expected method m6.*found m3"):
+        measure(scan, MeasureOptions(method="m3"), previous_mm=before)
+
+
+def test_a_third_camera() -> None:
     made = PRESETS["kolibri"](SIZE)
     c1 = made.rig.cameras[0]
     turn = RigidTransform(

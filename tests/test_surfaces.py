@@ -50,7 +50,7 @@ def choice_of(task: Any, turns: Floats, off: Any, cost: Any = 0.0) -> Choice:
     costs = np.broadcast_to(np.asarray(cost, np.float32), (n, len(LABELS))).copy()
     candidates = Candidates(orders, shown, np.zeros_like(costs), np.ones_like(costs, bool))
     place = np.broadcast_to(off, valid.shape)[valid].astype(np.intp) + 4
-    return Choice(candidates, costs, place, np.full(n, 0.999))
+    return Choice(candidates, costs, place, np.full(n, 0.999), np.zeros(n))
 
 
 def off_of(task: Any, turns: Floats, chosen: Choice) -> NDArray[np.int64]:
@@ -66,15 +66,19 @@ def test_a_part_of_a_smooth_surface_gets_the_order_of_the_rest(wrong: int) -> No
     healed = made_whole(task, choice_of(task, FLAT, wrong * RAGGED))
     assert (off_of(task, FLAT, healed) == 0).all()
     share = 1 - RAGGED.mean()
-    assert healed.probability[RAGGED.ravel()] == pytest.approx(share, abs=1e-3)
-    assert (healed.probability[~RAGGED.ravel()] == 0.999).all()
+    assert np.median(healed.probability[RAGGED.ravel()]) == pytest.approx(share, abs=1e-3)
+    assert np.median(healed.probability[~RAGGED.ravel()]) == pytest.approx(share, abs=1e-3)
+    trusting = made_whole(task, choice_of(task, FLAT, wrong * RAGGED), doubts=False)
+    assert (trusting.probability[~RAGGED.ravel()] == 0.999).all()
 
 
 def test_orders_that_follow_the_phase_stay() -> None:
     task = task_of(FLAT)
     assert np.ptp(np.floor(FLAT)) >= 3  # the orders themselves do change
     chosen = choice_of(task, FLAT, 0)
-    assert made_whole(task, chosen) is chosen
+    healed = made_whole(task, chosen)
+    np.testing.assert_array_equal(healed.order, chosen.order)
+    np.testing.assert_array_equal(healed.probability, chosen.probability)
 
 
 def test_levels_add_up_along_a_chain() -> None:
@@ -94,6 +98,43 @@ def test_a_depth_edge_divides(step: float) -> None:
     assert (off_of(task, turns, made_whole(task, chosen)) == 2 * PATCH).all()
 
 
+@pytest.mark.parametrize("step", [1.0, 1.015])
+def test_a_step_of_a_whole_period_stays_where_c2_sees_it(step: float) -> None:
+    """Between parallel planes the phase is smooth all along the edge."""
+    turns = FLAT + step * PATCH
+    task = task_of(turns)
+    cost = np.zeros((FLAT.size, len(LABELS)))
+    cost[PATCH.ravel(), 3] = 8.9
+    chosen = choice_of(task, turns, 0 * PATCH, cost)
+    assert (off_of(task, turns, made_whole(task, chosen)) == 0).all()
+
+
+def test_surfaces_that_touch_by_chance_are_not_joined() -> None:
+    """A patch of wrong order on one surface meets another in a few pixels of equal phase."""
+    other = COLS >= 60
+    turns = FLAT + 0.37 * other - np.where(other & (ROWS == 30), 0.37, 0.0)
+    task = task_of(turns)
+    off = np.where(other, 1, 0) + ((ROWS > 10) & (ROWS < 50) & (COLS >= 50) & ~other)
+    found = off_of(task, turns, made_whole(task, choice_of(task, turns, off)))
+    assert (found[COLS < 60] == 0).mean() > 0.99
+    assert (found[other & (np.abs(ROWS - 30) > 2)] == 1).all()
+
+
+def test_a_few_clear_pixels_do_not_carry_the_others() -> None:
+    task = task_of(FLAT)
+    large = COLS >= 4
+    chosen = choice_of(task, FLAT, large)
+    chosen.probability[large.ravel()] = 0.98
+    np.testing.assert_array_equal(made_whole(task, chosen).order, chosen.order)
+
+
+def test_other_evidence_refutes_as_well() -> None:
+    task = task_of(FLAT)
+    chosen = choice_of(task, FLAT, PATCH)
+    chosen.candidates.extras[PATCH.ravel(), 4] = 100.0
+    assert (off_of(task, FLAT, made_whole(task, chosen)) == PATCH).all()
+
+
 def test_a_bend_divides_unless_it_is_noise() -> None:
     """A roof of 0.5 rad in the second difference, with little noise and with much."""
     turns = 0.05 * np.abs(COLS - 40) + 10.0
@@ -110,7 +151,7 @@ def test_what_c2_refutes_does_not_move() -> None:
     cost[PATCH.ravel(), 4] = 50.0  # the order of the rest
     chosen = choice_of(task, FLAT, PATCH, cost)
     assert (off_of(task, FLAT, made_whole(task, chosen)) == PATCH).all()
-    few = (ROWS > 25) & (ROWS < 29) & (COLS > 50) & (COLS < 56)  # 15 px: their border tells more
+    few = (ROWS > 25) & (ROWS < 29) & (COLS > 50) & (COLS < 56)  # 15 px, less than a patch
     healed = made_whole(task, choice_of(task, FLAT, few, cost))
     assert (off_of(task, FLAT, healed) == 0).all()
 
@@ -118,7 +159,7 @@ def test_what_c2_refutes_does_not_move() -> None:
 def test_most_clear_pixels_elect_the_order_not_the_largest_part() -> None:
     """The larger part is not seen by C2: it follows the smaller one, which is."""
     task = task_of(FLAT)
-    large = COLS >= 30
+    large = COLS >= 30  # of 80
     cost = np.zeros((FLAT.size, len(LABELS)))
     cost[large.ravel()] = np.nan
     healed = made_whole(task, choice_of(task, FLAT, large, cost))

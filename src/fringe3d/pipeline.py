@@ -21,6 +21,7 @@ from fringe3d.health import (
     check_evidence,
     check_files,
     check_phases,
+    check_previous,
     check_probability,
     check_texture,
     check_trinocular,
@@ -124,7 +125,7 @@ def measure(
     options : MeasureOptions or None (defaults)
     stage : called with the name of each stage as it begins
     previous_mm : (row, col, 3) float or None, mm; points of the frame before in the pixels of C1,
-        NaN where there are none; method M6 starts from their fringe orders
+        NaN where there are none; method M6 prefers what goes on from them
 
     Returns
     -------
@@ -164,6 +165,8 @@ def measure(
     if scan.rig is None:
         return _finish(result, clock)
 
+    if previous_mm is not None:
+        _require_previous(previous_mm, main, choice.method)
     camera, other = _devices(scan.rig, stacks, choice.method)
     projector = scan.rig.projector
     with clock("finding correspondences"):
@@ -178,6 +181,8 @@ def measure(
             findings += _refuse(check_ambiguity(matches, main), MethodError)
         findings += check_bias(matched.bias, scan.rig.bias)
         findings += check_probability(matches)
+        if previous_mm is not None and projector is not None and choice.method == "m6":
+            findings += check_previous(matches, main, projector, previous_mm)
         if other.role == "projector" and not main.is_absolute and volume is not None:
             findings += check_twins(twin_share(main, camera, other, volume))
     with clock("triangulating"):
@@ -205,6 +210,20 @@ def _devices(rig: Rig, stacks: Sequence[ImageStack], method: str) -> tuple[Devic
         assert rig.projector is not None
         return camera, rig.projector
     return camera, cameras[stacks[1].device_name]
+
+
+def _require_previous(previous_mm: NDArray[np.float64], main: PhaseMap, method: str) -> None:
+    """Raise MethodError if the frame before is of no use."""
+    if previous_mm.shape != (*main.phase.shape, 3):
+        raise MethodError(
+            f"previous_mm: expected points on the pixels of C1, (row, col, 3) = "
+            f"{(*main.phase.shape, 3)}, found {previous_mm.shape}"
+        )
+    if method != "m6":
+        raise MethodError(
+            f"--previous: expected method m6, which alone uses the frame before, found {method}. "
+            "Add --method m6, or leave --previous out"
+        )
 
 
 def _further_cameras(rig: Rig, stacks: Sequence[ImageStack]) -> list[Device]:

@@ -79,7 +79,8 @@ def measure(
         Reject fringe orders that are less probable, 0 to 1: 0.9 by default, 0.99 if strict; 0 takes
         the best that fits.
     previous
-        Result of the frame before, of the same rig: m6 starts from its fringe orders.
+        Result of the frame before, of the same scene and rig: m6 prefers what goes on from it where
+        the images leave several solutions.
     """
     from fringe3d.io.atomic import require_writable
     from fringe3d.io.importing import parse_depth

@@ -122,7 +122,7 @@ def _show(t, i, order, ray1, ray2, axis, period, first, shown):  # type: ignore[
 
 
 @njit(cache=True, error_model="numpy")
-def _other_costs(t, i, per_turn, sigma1, ray1, others):  # type: ignore[no-untyped-def]
+def _other_costs(t, i, per_turn, sigma1, ray1, period1, others):  # type: ignore[no-untyped-def]
     """Return what other fringes have against a point of a ray, squared deviations.
 
     Nothing hides from the projector what it lights: phases there must be those of C1.
@@ -140,7 +140,7 @@ def _other_costs(t, i, per_turn, sigma1, ray1, others):  # type: ignore[no-untyp
         turns = w / period - phase / TWO_PI
         turns -= math.floor(turns + 0.5)
         noise = (sigmas[j, i] ** 2 + (drift * sigma1) ** 2) / TWO_PI**2
-        calibration = (1 + drift * drift) * (calibrations[j] / period) ** 2
+        calibration = calibrations[j] ** 2 * (1 / period**2 + (drift / period1) ** 2)
         total += turns * turns / (noise + calibration + OTHER_MODEL_ERROR**2)
     return total
 
@@ -203,7 +203,7 @@ def list_candidates(ends, guard, class1, task, orders, shown, extras, is_inside)
             t = _sheet_depth(ray1[0], ray1[1][i], (order + turns) * period, ray1[2], axis)
             if t > 0:
                 per_turn = _show(t, i, order, ray1, ray2, axis, period, first, shown[i, place])
-                extras[i, place] = _other_costs(t, i, per_turn, first[1][i], ray1, others)
+                extras[i, place] = _other_costs(t, i, per_turn, first[1][i], ray1, period, others)
                 orders[i, place] = order
                 is_inside[i, place] = first_inside <= order <= last_inside
                 place += 1

@@ -41,6 +41,9 @@ SEARCH_TURNS = (0.2, 0.45)
 
 LEAST_RATIO = 0.5
 
+LEAST_PLACING_RATIO = 0.1
+"""Of the phases that C2 and the projector see along a ray; with less C2 tells no place on it."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ChosenOrders:
@@ -131,11 +134,14 @@ def choose_orders(
     chosen, bias = panel.asked_again(chosen, bias, is_known=is_known or rival is not None)
     if rival is not None:
         agreement = rival.agreement(views.phases1.phase.shape)[task.valid]
-        chosen = replace(chosen, probability=chosen.probability * agreement)
+        chosen = replace(chosen, probability=chosen.probability * agreement,
+                         outside=chosen.outside * agreement)  # fmt: skip
+    if not search:  # a code leaves so few orders that what fits outside is outside
+        chosen = replace(chosen, outside=np.ones(len(task.pixels)))
     agrees = np.ones(len(task.pixels), bool)
     if together and not views.phases1.is_absolute and len(task.pixels):
         back = Task(swapped(views), projector, volume, fit_sigma**2, together)
-        seen_back, _ = solve(back, swapped_bias(bias, task, projector, back.frame))
+        seen_back, _ = solve(back, swapped_bias(bias, task, projector, back.frame), doubts=False)
         agrees = agrees_with_c2(task, chosen, back, seen_back, strict=strict)
         trusted = agrees & (chosen.cost <= task.limit)
         agrees &= ~takes_foreign_light(task, chosen, trusted, projector)
@@ -152,11 +158,12 @@ def _chosen(
 ) -> ChosenOrders:
     phases1, valid = task.views.phases1, task.valid
     fits = chosen.cost <= task.limit
+    certain = np.where(chosen.is_inside, chosen.probability, chosen.outside) >= min_probability
     rejection = np.zeros(valid.shape, np.uint16)
     for where, reason in (
-        (task.misses | (fits & ~chosen.is_inside), Rejection.OUTSIDE_VOLUME),
+        (task.misses | (fits & ~chosen.is_inside & certain), Rejection.OUTSIDE_VOLUME),
         (~task.misses & ~(fits & agrees), Rejection.NO_MATCH),
-        (fits & chosen.is_inside & ~(chosen.probability >= min_probability), Rejection.AMBIGUOUS),
+        (fits & ~task.misses & ~certain, Rejection.AMBIGUOUS),
     ):
         reject(rejection, _spread(where, valid, fill=False), reason)
     all_orders = np.arange(len(phases1.class_of_order), dtype=np.int32) + phases1.first_order
@@ -169,8 +176,8 @@ def _chosen(
     # C2 may see the phase change many times as fast as the projector: a period there must do.
     sigma = task.sigma(chosen, bias)
     seen = np.clip(np.abs(difference) + 4 * sigma, *SEARCH_TURNS)
-    rate = np.copysign(np.maximum(np.abs(ratio), LEAST_RATIO), ratio)
-    window = np.minimum(seen / np.abs(rate), 0.5)
+    window = np.minimum(seen / np.maximum(np.abs(ratio), LEAST_RATIO), 0.5)
+    rate = np.where(np.abs(ratio) > LEAST_PLACING_RATIO, ratio, np.nan)
     expected, spread = task.expected(chosen, bias)
     noise = task.first[1] / TWO_PI
     probability, residual, sigma, place, place_sigma = (

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from fringe3d.correspond._aggregate import STEP_PENALTY
 from fringe3d.correspond.bias import LEAST_PART, LEAST_PIXELS, PATCH_PX, joined, learn_bias
@@ -36,8 +37,12 @@ START_SCATTER_PX, JUDGED_SCATTER_PX = 0.15, 0.08
 N_REFINED, ROUNDS = 3, 2
 """Solutions that are refined, and how often."""
 
-N_LOOKS, NUDGE_PX = 5, 0.3
+N_LOOKS, NUDGE_PX = 3, 0.3
 """How often better solutions are sought around the best one, and how far away."""
+
+MEMORY, MOTION_TURNS = 4.0, 0.5
+"""Weight of the frame before: it settles what else is nearly as likely, odds of 50 to 1, and no
+more; and the periods by which a pixel's phase typically changes between two frames."""
 
 N_SURFACES, LEAST_SURFACE = 2, 0.03
 """Surfaces that may be right where others are not: the largest, of so many of the pixels. What one
@@ -96,19 +101,27 @@ class Rivals:
             weight * (solution.orders[number] == best)
             for weight, solution in zip(self.weights, self.solutions, strict=True)
         )
+        if task.valid.any():  # a cell whose sampled pixel is rejected follows the nearest one
+            steps = [s.step for s in task.grid]
+            nearest = ndimage.distance_transform_edt(
+                ~task.valid, sampling=steps, return_distances=False, return_indices=True
+            )
+            coarse = coarse[tuple(nearest)]
         rows, cols = (np.arange(n) // s.step for n, s in zip(shape, task.grid, strict=True))
         return np.asarray(coarse[np.ix_(rows, cols)])
 
 
-def solve(task: Task, bias: CalibrationBias | None) -> tuple[Choice, CalibrationBias]:
+def solve(
+    task: Task, bias: CalibrationBias | None, /, *, doubts: bool = True
+) -> tuple[Choice, CalibrationBias]:
     """Choose with a given bias; else choose, learn the bias from what is clear, and choose again.
 
-    One start: for codes and segments that leave little choice.
+    One start: for codes and segments that leave little choice. `doubts` as in `made_whole`.
     """
     if bias is None:
         bias = _learnt_once(task)
     chosen = task.decide(bias)
-    return (made_whole(task, chosen) if task.together else chosen), bias
+    return (made_whole(task, chosen, doubts=doubts) if task.together else chosen), bias
 
 
 def _learnt_once(task: Task) -> CalibrationBias:
@@ -139,7 +152,8 @@ def rivals(tasks: Sequence[Task], /) -> Rivals | None:
     Notes
     -----
     The weight is ``exp(-E)``, ``E = n_patches * mean(min(r^2 / 2 sigma^2, 1.2) + others + 5 jumps)
-    + |c / prior|^2 / 2``, others being the costs of further fringes and of the frame before.
+    + |c / prior|^2 / 2 + 4 change``, others being the costs of further fringes and cameras, change
+    the part of the pixels whose phase is not that of the frame before.
     Neighbours within a patch share their errors and count once; a jump of the absolute phase
     between neighbours is a depth edge, of which all solutions see the true ones.
     """
@@ -175,10 +189,10 @@ def _look_around(tasks: Sequence[Task], found: list[Solution], way: NDArray[np.f
     for _ in range(N_LOOKS):
         best = found[0]
         for other in _around(tasks, best, way):
-            if not any(other.resembles(known) for known in found):
+            alike = [known for known in found if other.resembles(known)]
+            if all(other.energy < known.energy for known in alike):
+                found[:] = [known for known in found if not any(known is a for a in alike)]
                 found.append(other)
-            if other.energy < best.energy - 1:
-                break
         found.sort(key=lambda s: s.energy)
         if found[0] is best:
             return
@@ -227,10 +241,20 @@ def _judged(tasks: Sequence[Task], bias: CalibrationBias) -> Solution:
         cost = np.fmin(chosen.cost[seen] / 2, LARGEST_COST) * (len(seen) / max(1, seen.sum()))
         turns = absolute_turns(task, chosen.order, chosen.order != NO_ORDER)
         jumps = sum(int((np.abs(np.diff(turns, axis=axis)) > CONTINUOUS).sum()) for axis in (0, 1))
+        energy += MEMORY * _change(task, chosen)
         others = np.minimum(chosen.extra / 2, LARGEST_EXTRA)
         energy += (float(cost.sum()) + float(others.sum()) + STEP_PENALTY * jumps) / _n_alike(task)
         orders.append(chosen.order)
     return Solution(bias, tuple(orders), energy)
+
+
+def _change(task: Task, chosen: Choice) -> float:
+    """Return how much has changed since the frame before, 0 to 1."""
+    known = np.isfinite(task.before) & (chosen.order != NO_ORDER)
+    if not known.any():
+        return 0.0
+    turns = chosen.order[known] + task.first[0][known] / (2 * np.pi)
+    return float(np.fmin(((turns - task.before[known]) / MOTION_TURNS) ** 2, 1).mean())
 
 
 def _from_surfaces(tasks: Sequence[Task], solution: Solution) -> Iterator[Solution]:

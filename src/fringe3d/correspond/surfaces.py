@@ -6,10 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import breadth_first_order, connected_components, minimum_spanning_tree
 
-from fringe3d.correspond.weighing import CLEAR, Choice, Task
+from fringe3d.correspond.bias import PATCH_PX
+from fringe3d.correspond.weighing import CLEAR, LARGEST_EXTRA, Choice, Task
 from fringe3d.model import NO_ORDER
 
 Bools = NDArray[np.bool_]
@@ -30,11 +32,16 @@ LEAST_SEAM, SEAM_PART = 4, 0.5
 """Pixels of a border, and part of it, across which the phase is smooth. Where one thing stands in
 front of another this happens to a few pixels in a hundred."""
 
-FIT_COST = 9.0
-"""Squared deviations of pixels that go with an order."""
+LARGEST_REFUTATION = 36.0
+"""Squared deviations of one pixel."""
 
-FEW = 20
-"""Pixels of a surface that tell less than its border."""
+REFUTED, REFUTED_PIXEL = 4.0, 1.0
+"""Half squared deviations by which another order must fit worse to be refuted: in all, neighbours
+within a patch counted once, and on the median pixel. What the bias leaves is not random; and up to
+half of a surface may be hidden from C2 where it truly is, yet fit where it is not."""
+
+LEAST_VOTES = 0.2
+"""Part of a surface that must be clear for the rest to follow."""
 
 
 def absolute_turns(task: Task, order: NDArray[np.int32], where: Bools, /) -> NDArray[np.float64]:
@@ -44,14 +51,21 @@ def absolute_turns(task: Task, order: NDArray[np.int32], where: Bools, /) -> NDA
     return turns
 
 
-def surfaces(task: Task, order: NDArray[np.int32], claims: Bools, /) -> NDArray[np.intp]:
-    """Return the number of the surface of each claiming pixel: neighbours of continuous phase."""
+def surfaces(
+    task: Task, order: NDArray[np.int32], claims: Bools, /, *, smooth: bool = False
+) -> NDArray[np.intp]:
+    """Return the number of the surface of each claiming pixel: neighbours of continuous phase.
+
+    If `smooth`, they are not joined across bends, where phases may agree by chance.
+    """
     turns = absolute_turns(task, order, claims)
     number = np.full(task.valid.shape, -1)
     number[np.isfinite(turns)] = np.arange(int(claims.sum()))
     pairs = []
-    for here, there in _neighbours():
+    for axis, (here, there) in zip((1, 0), _neighbours(), strict=True):
         joined = np.abs(turns[here] - turns[there]) < CONTINUOUS
+        if smooth:
+            joined &= _rise(task, axis)[1]
         pairs.append(np.stack([number[here][joined], number[there][joined]]))
     start, end = np.concatenate(pairs, axis=1)
     n = int(claims.sum())
@@ -59,49 +73,69 @@ def surfaces(task: Task, order: NDArray[np.int32], claims: Bools, /) -> NDArray[
     return np.asarray(connected_components(graph, directed=False)[1], np.intp)
 
 
-def made_whole(task: Task, chosen: Choice, /) -> Choice:
+def made_whole(task: Task, chosen: Choice, /, *, doubts: bool = True) -> Choice:
     """Give parts of one surface that were given different orders the order of most of it.
 
     Evidence is gathered along lines, and systematic errors add up on them: where wrong orders fit
-    nearly as well, a line may leave its order in the middle of a smooth surface. A true depth edge
-    does not go unseen along a border: the phase on both sides would have to agree by chance.
+    nearly as well, a line may leave its order in the middle of a smooth surface. A depth edge does
+    not go unseen along a border, unless the step is a whole number of periods: then C2 tells.
 
     Parameters
     ----------
     task : Task
     chosen : Choice
+    doubts : bool; no pixel of a surface is more probable than the share of the votes for its order
 
     Returns
     -------
     Choice; parts that moved have the share of the votes for their order as probability. A part
-        stays where it is if what C2 shows refutes the other order.
+        stays where it is if what C2 and all else show refutes the other order.
     """
     known = chosen.order != NO_ORDER
     if not known.any():
         return chosen
-    part = surfaces(task, chosen.order, known)
+    part = surfaces(task, chosen.order, known, smooth=True)
     n = int(part.max()) + 1
     whole, level = _levels(*_seams(task, chosen.order, known, part), n)
     clear = (chosen.probability > CLEAR) & np.isfinite(chosen.cost)
-    votes = np.bincount(part[clear[known]], minlength=n)
-    wanted, share = _elected(whole, level, votes)
-    index = np.flatnonzero(known)
-    moved = index[wanted[part] != level[part]]
-    if not len(moved):
-        return chosen
+    votes, sizes = np.bincount(part[clear[known]], minlength=n), np.bincount(part)
+    wanted, share = _elected(whole, level, votes, sizes)
     number = np.full(len(known), -1)
     number[known] = part
-    shift = (wanted - level)[number[moved]]
-    place, found = chosen.candidates.place_of(chosen.order[moved] + shift, moved)
-    fits = chosen.cost[moved] <= FIT_COST
-    still = fits & found & (chosen.costs[moved, place] <= FIT_COST)
-    n_fit, n_still = (np.bincount(number[moved], w, n) for w in (fits, still))
-    goes = found & ((n_still >= n_fit / 2) | (n_fit < FEW))[number[moved]]
-    moved, place = moved[goes], place[goes]
+    moved = np.flatnonzero(known)[(wanted != level)[part]]
     places, probability = chosen.place.copy(), chosen.probability.copy()
-    places[moved] = place
-    probability[moved] = share[number[moved]]
+    if doubts:
+        probability[known] = np.fmin(probability[known], share[part])
+    if len(moved):
+        of = number[moved]
+        place, found = _place_of(chosen, moved, (wanted - level)[of])
+        worse = np.where(found, _against(chosen, moved, place) - _against(chosen, moved), 0.0)
+        worse = np.nan_to_num(worse, nan=0.0)  # C2 sees only one of the two
+        typical = ndimage.median(worse, of, np.arange(n))
+        refuted = (typical > REFUTED_PIXEL) & (typical * sizes > REFUTED * PATCH_PX**2)
+        goes = found & ~refuted[of]
+        places[moved[goes]] = place[goes]
+        probability[moved] = np.where(goes, share[of], chosen.probability[moved])
     return replace(chosen, place=places, probability=probability)
+
+
+def _place_of(
+    chosen: Choice, index: NDArray[np.intp], shift: Ints
+) -> tuple[NDArray[np.intp], Bools]:
+    """Return at which place the pixels list the order that is so much higher, if they do."""
+    return chosen.candidates.place_of(chosen.order[index] + shift, index)
+
+
+def _against(
+    chosen: Choice, index: NDArray[np.intp], place: NDArray[np.intp] | None = None
+) -> NDArray[np.float64]:
+    """Return what speaks against the candidates at a place (or those chosen), half squares; NaN
+    where C2 does not see them."""
+    place = chosen.place[index] if place is None else place
+    costs, extras = chosen.costs[index, place], chosen.candidates.extras[index, place]
+    return np.asarray(
+        np.minimum(costs, LARGEST_REFUTATION) / 2 + np.minimum(extras / 2, LARGEST_EXTRA)
+    )
 
 
 def _neighbours() -> tuple[tuple[tuple[slice, ...], tuple[slice, ...]], ...]:
@@ -183,8 +217,13 @@ def _levels(first: Ints, second: Ints, higher: Ints, length: Ints, n: int) -> tu
     return np.asarray(whole, np.int64), level
 
 
-def _elected(whole: Ints, level: Ints, votes: Ints) -> tuple[Ints, NDArray[np.float64]]:
-    """Return the level that most pixels of each part's surface have, and their share."""
+def _elected(
+    whole: Ints, level: Ints, votes: Ints, sizes: Ints
+) -> tuple[Ints, NDArray[np.float64]]:
+    """Return the level that most clear pixels of each part's surface have, and their share.
+
+    Parts stay on their level, and nothing is shared, where too few pixels are clear.
+    """
     kinds, kind = np.unique(np.stack([whole, level]), axis=1, return_inverse=True)
     votes_of = np.bincount(kind.ravel(), votes)
     order = np.argsort(votes_of, kind="stable")
@@ -192,5 +231,7 @@ def _elected(whole: Ints, level: Ints, votes: Ints) -> tuple[Ints, NDArray[np.fl
     most = np.zeros(len(wanted))
     wanted[kinds[0, order]] = kinds[1, order]
     most[kinds[0, order]] = votes_of[order]
-    share = most / np.maximum(np.bincount(whole, votes), 1)
-    return wanted[whole], share[whole]
+    total = np.bincount(whole, votes)
+    settled = (total > 0) & (total >= LEAST_VOTES * np.bincount(whole, sizes))
+    share = np.where(settled, most / np.maximum(total, 1), 1.0)
+    return np.where(settled[whole], wanted[whole], level), share[whole]

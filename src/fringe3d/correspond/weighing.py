@@ -109,12 +109,14 @@ class Choice:
     costs : (n, m) float; squared residual over its variance, NaN where C2 does not see the point
     place : (n,) int; of the one chosen
     probability : (n,) float
+    outside : (n,) float; probability that the point lies outside the volume
     """
 
     candidates: Candidates
     costs: NDArray[np.float32]
     place: NDArray[np.intp]
     probability: NDArray[np.float64]
+    outside: NDArray[np.float64]
 
     @property
     def order(self) -> NDArray[np.int32]:
@@ -208,6 +210,7 @@ class Task:
             phases1.first_order,
         )
         self.listed = self._listed()
+        self.before = np.full(len(self.pixels), np.nan)  # absolute phase in the frame before, turns
 
     @property
     def frame(self) -> Frame:
@@ -277,11 +280,13 @@ class Task:
         weights = np.exp(-(energy - energy.min(axis=1, keepdims=True)).astype(np.float64))
         weights[orders == NO_ORDER] = 0
         total = weights.sum(axis=1)
+        total[total == 0] = np.nan
         return Choice(
             candidates=self.listed,
             costs=costs,
             place=best,
-            probability=np.divide(1, total, out=np.full(len(total), np.nan), where=total > 0),
+            probability=1 / total,
+            outside=(weights * ~self.listed.is_inside).sum(axis=1) / total,
         )
 
     def sigma(self, chosen: Choice, bias: CalibrationBias) -> NDArray[np.float64]:

@@ -13,12 +13,6 @@ from fringe3d.correspond.solving import learnt_from, nothing_known, solve
 from fringe3d.correspond.weighing import LARGEST_COST, Candidates, Choice, Task
 from fringe3d.model import CalibrationBias, Device, MeasuringVolume, PhaseMap
 
-MOTION_TURNS = 0.5
-"""Periods by which the absolute phase of a pixel typically changes between two frames."""
-
-LARGEST_MEMORY = 1.0
-"""Squared deviations from the frame before: less than what C2 may say of this one."""
-
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Witnesses:
@@ -36,16 +30,12 @@ class Witnesses:
 
 
 def ask(task: Task, witnesses: Witnesses, projector: Device, volume: MeasuringVolume, /) -> Panel:
-    """Let the frame before and further cameras speak for the candidates of a task.
+    """Let further cameras speak for the candidates of a task, and the frame before for solutions.
 
-    Where something else is seen by now, the cameras outvote the frame before. Of the calibration of
-    further cameras nothing is known as yet: see `Panel.asked_again`.
+    Of the calibration of further cameras nothing is known as yet: see `Panel.asked_again`.
     """
     if witnesses.previous_turns is not None:
-        before = witnesses.previous_turns[task.grid][task.valid]
-        turns = task.listed.orders + (task.first[0] / (2 * np.pi))[:, None]
-        change = (turns - before[:, None]) / MOTION_TURNS
-        task.hear(np.fmin(change**2, LARGEST_MEMORY))
+        task.before = witnesses.previous_turns[task.grid][task.valid]
     panel = Panel(task, task.listed, tuple(
         Task(replace(task.views, camera2=camera, phases2=phases, second1=None, second2=None,
                      periods1=(), periods2=()),

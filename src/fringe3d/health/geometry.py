@@ -32,6 +32,9 @@ DOUBTFUL_ORDER, DOUBTFUL_WARNING = 0.9, 0.02
 UNDECIDED_WARNING = 0.2
 """Part of the placed pixels; edges and reflections leave a few percent open everywhere."""
 
+PREVIOUS_WARNING = 0.5
+"""Part of the points that the frame before should know."""
+
 BIAS_WARNING_PX = 1.0
 
 AMBIGUOUS_WARNING, AMBIGUOUS_REFUSED = 0.05, 0.4
@@ -108,7 +111,8 @@ def _smooth_part(values: NDArray[np.float64], places: NDArray[np.intp]) -> NDArr
 def check_yield(points: PointMap, /) -> list[Finding]:
     """Judge how many of the pixels that could have a point the geometry could place."""
     undecoded = Rejection.SATURATED | Rejection.LOW_MODULATION | Rejection.INCONSISTENT_CODE
-    decoded = (points.rejection & np.uint16(undecoded)) == 0
+    # What fits several orders says nothing against the calibration.
+    decoded = (points.rejection & np.uint16(undecoded | Rejection.AMBIGUOUS)) == 0
     considered = decoded & ((points.rejection & np.uint16(Rejection.OUTSIDE_VOLUME)) == 0)
     if not considered.any():
         return []
@@ -146,6 +150,27 @@ def check_twins(share: float, /, *, code: str = "one code image more") -> list[F
         f"record {code}, or make the volume as deep as what is seen"
     )
     return _part("twin_part", share, TWIN_WARNING, text, advice)
+
+
+def check_previous(
+    matches: Correspondences, main: PhaseMap, projector: Device, previous_mm: NDArray[np.float64], /
+) -> list[Finding]:
+    """Tell how many points are those of the frame before, moved by less than half a period."""
+    x, y = np.moveaxis(project(projector, previous_mm), -1, 0)
+    before = across(main.angle, x, y) / main.period_px
+    known = (matches.rejection == 0) & np.isfinite(before)
+    if not known.any():
+        text = "the frame before (--previous) has no point where this one has"
+        return [
+            Finding("warning", "previous_part", 0.0, f"{text}. Name a result of the same scene")
+        ]
+    turns = matches.fringe_order[known] + main.phase[known] / (2 * np.pi)
+    share = float((np.abs(turns - before[known]) < 0.5).mean())
+    text = f"{share:.1%} of the points are those of the frame before, up to half a period"
+    if share >= PREVIOUS_WARNING:
+        return [Finding("ok", "previous_part", share, text)]
+    advice = "Name a result of the same scene, a moment earlier, or leave --previous out"
+    return [Finding("warning", "previous_part", share, f"{text}. {advice}")]
 
 
 def check_probability(matches: Correspondences, /) -> list[Finding]:
