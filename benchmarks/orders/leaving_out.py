@@ -81,7 +81,8 @@ def _no_bias() -> Patches:
 
 
 def _one_start() -> Patches:
-    return [patch.object(solving, "STARTS_PX", (0.0,)), patch.object(solving, "N_SURFACES", 0)]
+    return [patch.object(solving, "STARTS_PX", (0.0,)), patch.object(solving, "N_SURFACES", 0),
+            patch.object(solving, "N_LOOKS", 0)]  # fmt: skip
 
 
 def _no_jumps() -> Patches:
@@ -103,7 +104,7 @@ def _no_light_check() -> Patches:
 
 
 def _not_made_whole() -> Patches:
-    return [patch.object(solving, "made_whole", lambda _task, chosen: chosen)]
+    return [patch.object(solving, "made_whole", lambda _task, chosen, **_: chosen)]
 
 
 def _voting(unwrapping: Unwrapping) -> Callable[[], Patches]:

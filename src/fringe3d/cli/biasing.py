@@ -13,6 +13,9 @@ from fringe3d.cli.console import Reporter, say
 from fringe3d.cli.parameters import Json, Overwrite, at_least
 from fringe3d.errors import MethodError, RigError
 
+LARGEST_SIGMA_PX = 0.15
+"""A fringe order more moves the points of a nearly symmetric rig by a quarter of a pixel."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BiasOptions(CalibrationOptions):
@@ -140,6 +143,12 @@ def calibrate_bias(options: BiasOptions, reporter: Reporter, /) -> tuple[str, di
     text = (
         f"calibration bias: points in the second camera miss by {found.rms_px:.2f} px (rms over "
         f"image and depth), known to {found.sigma_px:.2f} px; {found.scatter_px:.2f} px are not "
-        f"smooth. {learnt.certainty:.1%} certain ({learnt.n_solutions} solution(s))"
+        f"smooth. {learnt.certainty:.1%} of the fringe orders are certain"
     )
+    if found.sigma_px > LARGEST_SIGMA_PX:
+        reporter.warn(
+            f"the bias is known to {found.sigma_px:.2f} px only, a good one to "
+            f"{LARGEST_SIGMA_PX:g} px: measure may do better without it. Take several scans, or "
+            "one with a Gray code"
+        )
     return text, record
