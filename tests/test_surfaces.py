@@ -67,9 +67,18 @@ def test_a_part_of_a_smooth_surface_gets_the_order_of_the_rest(wrong: int) -> No
     assert (off_of(task, FLAT, healed) == 0).all()
     share = 1 - RAGGED.mean()
     assert np.median(healed.probability[RAGGED.ravel()]) == pytest.approx(share, abs=1e-3)
-    assert np.median(healed.probability[~RAGGED.ravel()]) == pytest.approx(share, abs=1e-3)
+    odds = (share / (1 - share)) ** 3
+    rest = np.median(healed.probability[~RAGGED.ravel()])
+    assert rest == pytest.approx(odds / (1 + odds), abs=1e-3)
     trusting = made_whole(task, choice_of(task, FLAT, wrong * RAGGED), doubts=False)
     assert (trusting.probability[~RAGGED.ravel()] == 0.999).all()
+
+
+def test_halves_that_disagree_are_both_in_doubt() -> None:
+    task = task_of(FLAT)
+    healed = made_whole(task, choice_of(task, FLAT, COLS >= 41))
+    assert (off_of(task, FLAT, healed) == 0).all()
+    assert (healed.probability < 0.6).all()
 
 
 def test_orders_that_follow_the_phase_stay() -> None:

@@ -233,8 +233,6 @@ def settle(
         return Choice("m5", "no code, and hardly a segment in the projector exceeds a period")
     if has_mirrored_neighbours(main):
         return choice  # where in the period the code is ambiguous differs: C2 decides
-    if choice.method == "m2" and not asked and twins > MOST_TWINS:
-        return Choice("m6", "the code leaves several orders on a segment")
     if choice.method in ("m2", "m5") and twins > MOST_TWINS:
         raise MethodError(too_long(choice.method, segments, main))
     return choice

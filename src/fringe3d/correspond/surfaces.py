@@ -40,6 +40,10 @@ REFUTED, REFUTED_PIXEL = 4.0, 1.0
 within a patch counted once, and on the median pixel. What the bias leaves is not random; and up to
 half of a surface may be hidden from C2 where it truly is, yet fit where it is not."""
 
+ODDS_POWER = 3
+"""Votes of neighbours are not independent: a surface has as few, however many its pixels. With 97 %
+of them its order is certain, with 70 % the odds are 13 to 1."""
+
 LEAST_VOTES = 0.2
 """Part of a surface that must be clear for the rest to follow."""
 
@@ -84,7 +88,7 @@ def made_whole(task: Task, chosen: Choice, /, *, doubts: bool = True) -> Choice:
     ----------
     task : Task
     chosen : Choice
-    doubts : bool; no pixel of a surface is more probable than the share of the votes for its order
+    doubts : bool; no pixel is more probable than the order of its surface, given the votes
 
     Returns
     -------
@@ -105,7 +109,8 @@ def made_whole(task: Task, chosen: Choice, /, *, doubts: bool = True) -> Choice:
     moved = np.flatnonzero(known)[(wanted != level)[part]]
     places, probability = chosen.place.copy(), chosen.probability.copy()
     if doubts:
-        probability[known] = np.fmin(probability[known], share[part])
+        odds = (share / np.maximum(1 - share, 1e-9)) ** ODDS_POWER
+        probability[known] = np.fmin(probability[known], (odds / (1 + odds))[part])
     if len(moved):
         of = number[moved]
         place, found = _place_of(chosen, moved, (wanted - level)[of])
