@@ -289,8 +289,10 @@ def test_agreement_is_the_weight_of_the_same_order() -> None:
     # Each pixel of the coarse grid stands for those from it to the next.
     whole = np.ones(task.valid.shape)
     whole[task.valid] = expected
-    for y, x in ((0, 0), (1, 1), (2, 1), (3, 1), (127, 159), (100, 33), (50, 50)):
+    for y, x in ((0, 0), (1, 1), (2, 1), (3, 1), (127, 159), (100, 33)):
         assert found[y, x] == pytest.approx(whole[y // 3, x // 2])
+    # In a hole it is that of the nearest one: there are pixels whose sampled neighbour is dark.
+    assert found[50, 50] == pytest.approx(whole[39 // 3, 50 // 2])
     assert rival.best is rival.solutions[0].bias
 
 

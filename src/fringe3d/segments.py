@@ -144,12 +144,12 @@ def too_long(method: str, segments: Segments, phases: PhaseMap, /) -> str:
     """
     n, needs = told_apart(phases.class_of_order), segments.needs
     of = "one period" if n == 1 else f"{n} periods (so many the code tells apart)"
+    code = ("--method m2 with " if method == "m5" else "") + code_in_words(needs.bits, phases)
     return (
         f"--method {method}: expected segments of up to {of} in '{segments.device.name}', found up "
         f"to {needs.max_periods:.1f} (median {float(np.nanmedian(segments.periods)):.1f}); "
         f"{segments.twins(n):.0%} of the points have a twin. What would do: "
-        f"{code_in_words(needs.bits, phases)}; a narrower depth range (--depth MIN:MAX); or "
-        + _other_rig(segments)
+        f"{code}; a narrower depth range (--depth MIN:MAX); or " + _other_rig(segments)
     )
 
 
