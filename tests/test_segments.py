@@ -114,7 +114,8 @@ def test_the_bits_that_the_message_names_do(scan: Scan) -> None:
     rig = rig_of(8.0)
     needs = needs_of(scan, rig)
     alone = replace(scan, rig=rig)
-    words = rf"'c2', found up to {needs.max_periods:.1f}.*do: (--method m2 with )?{needs.bits} cyclic code images"
+    found = f"'c2', found up to {needs.max_periods:.1f}"
+    words = rf"{found}.*do: (--method m2 with )?{needs.bits} cyclic code images"
     for n_images in range(needs.bits):
         with pytest.raises(MethodError, match=words):
             measure(alone, MeasureOptions(gray_bits=n_images))
