@@ -155,7 +155,7 @@ def test_method_of_plan_and_rig(
         ("wide", (X, REDUCED), 4, "m1", r"4 of 64 periods apart.*--method m2.*--depth"),
         ("wide", (X, CODE_X), 64, "m2", r"a reduced Gray code, found a full one.*--gray-bits"),
         ("wide", (X, REDUCED), 2, "m2", r"up to 2 periods.*2 cyclic code images \(3 if"),
-        ("wide", (X,), 1, "m5", r"up to one period.*do: 2 cyclic.*--depth.*closer"),
+        ("wide", (X,), 1, "m5", r"up to one period.*do: --method m2 with 2 cyclic.*--depth.*closer"),
         ("blind", (X,), 1, "m3", r"--method m3: expected a calibrated projector.*m4 with a second"),
         ("blind", (X, CODE_X), 64, "m3", r"calibrated projector.*--method m1"),
         ("wide", (X,), 1, "m4", r"two directions, found 1.*--direction xy.*m3"),

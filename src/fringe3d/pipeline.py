@@ -28,7 +28,7 @@ from fringe3d.health import (
     check_twins,
     check_yield,
 )
-from fringe3d.matching import best_direction_first, match
+from fringe3d.matching import Matched, best_direction_first, match
 from fringe3d.methods import choose_method, images_of, settle
 from fringe3d.model import (
     CalibrationBias,
@@ -174,14 +174,8 @@ def measure(
                         options=options, bias=scan.rig.bias, previous_mm=previous_mm,
                         cameras=_further_cameras(scan.rig, stacks))  # fmt: skip
         matches = matched.matches
-        findings += matched.findings
-        if choice.method == "m6":
-            findings += check_evidence(matches, matched.rival_shift)
-        else:
-            findings += _refuse(check_ambiguity(matches, main), MethodError)
-        findings += check_bias(matched.bias, scan.rig.bias)
-        findings += check_probability(matches)
-        if previous_mm is not None and projector is not None and choice.method == "m6":
+        findings += _check_orders(matched, main, scan.rig, choice.method)
+        if previous_mm is not None and projector is not None:
             findings += check_previous(matches, main, projector, previous_mm)
         if other.role == "projector" and not main.is_absolute and volume is not None:
             findings += check_twins(twin_share(main, camera, other, volume))
@@ -201,6 +195,17 @@ def measure(
         result, matches=matches, points=points, bias=matched.bias, findings=tuple(findings)
     )
     return _finish(result, clock)
+
+
+def _check_orders(matched: Matched, main: PhaseMap, rig: Rig, method: str) -> list[Finding]:
+    """Check what the fringe orders rest on; too many that several fit are refused but by M6."""
+    ambiguity = (
+        check_evidence(matched.matches, matched.rival_shift)
+        if method == "m6"
+        else _refuse(check_ambiguity(matched.matches, main), MethodError)
+    )
+    bias = check_bias(matched.bias, rig.bias)
+    return [*matched.findings, *ambiguity, *bias, *check_probability(matched.matches)]
 
 
 def _devices(rig: Rig, stacks: Sequence[ImageStack], method: str) -> tuple[Device, Device]:

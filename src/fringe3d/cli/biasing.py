@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
@@ -12,6 +12,9 @@ from fringe3d.cli.calibrating import CalibrationOptions, Images, Scans, calibrat
 from fringe3d.cli.console import Reporter, say
 from fringe3d.cli.parameters import Json, Overwrite, at_least
 from fringe3d.errors import MethodError, RigError
+
+if TYPE_CHECKING:
+    from fringe3d.rig_bias import LearntBias
 
 LARGEST_SIGMA_PX = 0.15
 """A fringe order more moves the points of a nearly symmetric rig by a quarter of a pixel."""
@@ -131,24 +134,30 @@ def calibrate_bias(options: BiasOptions, reporter: Reporter, /) -> tuple[str, di
     found = replace(learnt.bias, source=names)
     write_text(options.out, rig_text(replace(rig, bias=found)), overwrite=options.overwrite)
     write_bias_picture(picture, found, rig.cameras[0], title=f"Calibration bias from {names}")
-    record = {
-        "bias_px": found.rms_px,
-        "sigma_px": found.sigma_px,
-        "scatter_px": found.scatter_px,
-        "certainty": learnt.certainty,
-        "n_solutions": learnt.n_solutions,
-        "decided_part": learnt.decided_part,
-        "out": str(options.out),
-    }
-    text = (
-        f"calibration bias: points in the second camera miss by {found.rms_px:.2f} px (rms over "
-        f"image and depth), known to {found.sigma_px:.2f} px; {found.scatter_px:.2f} px are not "
-        f"smooth. {learnt.certainty:.1%} of the fringe orders are certain"
-    )
     if found.sigma_px > LARGEST_SIGMA_PX:
         reporter.warn(
             f"the bias is known to {found.sigma_px:.2f} px only, a good one to "
             f"{LARGEST_SIGMA_PX:g} px: measure may do better without it. Take several scans, or "
             "one with a Gray code"
         )
-    return text, record
+    return _text(learnt), _record(learnt) | {"out": str(options.out)}
+
+
+def _text(learnt: LearntBias) -> str:
+    bias = learnt.bias
+    return (
+        f"calibration bias: points in the second camera miss by {bias.rms_px:.2f} px (rms over "
+        f"image and depth), known to {bias.sigma_px:.2f} px; {bias.scatter_px:.2f} px are not "
+        f"smooth. {learnt.certainty:.1%} of the fringe orders are certain"
+    )
+
+
+def _record(learnt: LearntBias) -> dict[str, Any]:
+    return {
+        "bias_px": learnt.bias.rms_px,
+        "sigma_px": learnt.bias.sigma_px,
+        "scatter_px": learnt.bias.scatter_px,
+        "certainty": learnt.certainty,
+        "n_solutions": learnt.n_solutions,
+        "decided_part": learnt.decided_part,
+    }

@@ -169,14 +169,21 @@ def rivals(tasks: Sequence[Task], /) -> Rivals | None:
             refined = one
             for _ in range(ROUNDS):
                 refined = _improved(tasks, refined.bias) or refined
-            if not any(refined.resembles(other) for other in found):
-                found.append(refined)
+            _keep(found, refined)
     if not found:
         return None
     _look_around(tasks, found, way)
     weights = np.exp([found[0].energy - s.energy for s in found])
     n = int((weights > LEAST_WEIGHT).sum())
     return Rivals(tuple(tasks), tuple(found[:n]), weights[:n] / weights[:n].sum())
+
+
+def _keep(found: list[Solution], other: Solution) -> None:
+    """Add a solution; of those that resemble each other the best stays."""
+    alike = [number for number, known in enumerate(found) if other.resembles(known)]
+    if all(other.energy < found[number].energy for number in alike):
+        found[:] = [known for number, known in enumerate(found) if number not in alike]
+        found.append(other)
 
 
 def _look_around(tasks: Sequence[Task], found: list[Solution], way: NDArray[np.float64]) -> None:
@@ -189,10 +196,7 @@ def _look_around(tasks: Sequence[Task], found: list[Solution], way: NDArray[np.f
     for _ in range(N_LOOKS):
         best = found[0]
         for other in _around(tasks, best, way):
-            alike = [known for known in found if other.resembles(known)]
-            if all(other.energy < known.energy for known in alike):
-                found[:] = [known for known in found if not any(known is a for a in alike)]
-                found.append(other)
+            _keep(found, other)
         found.sort(key=lambda s: s.energy)
         if found[0] is best:
             return

@@ -113,7 +113,7 @@ def made_whole(task: Task, chosen: Choice, /, *, doubts: bool = True) -> Choice:
         probability[known] = np.fmin(probability[known], (odds / (1 + odds))[part])
     if len(moved):
         of = number[moved]
-        place, found = _place_of(chosen, moved, (wanted - level)[of])
+        place, found = chosen.candidates.place_of(chosen.order[moved] + (wanted - level)[of], moved)
         worse = np.where(found, _against(chosen, moved, place) - _against(chosen, moved), 0.0)
         worse = np.nan_to_num(worse, nan=0.0)  # C2 sees only one of the two
         typical = ndimage.median(worse, of, np.arange(n))
@@ -122,13 +122,6 @@ def made_whole(task: Task, chosen: Choice, /, *, doubts: bool = True) -> Choice:
         places[moved[goes]] = place[goes]
         probability[moved] = np.where(goes, share[of], chosen.probability[moved])
     return replace(chosen, place=places, probability=probability)
-
-
-def _place_of(
-    chosen: Choice, index: NDArray[np.intp], shift: Ints
-) -> tuple[NDArray[np.intp], Bools]:
-    """Return at which place the pixels list the order that is so much higher, if they do."""
-    return chosen.candidates.place_of(chosen.order[index] + shift, index)
 
 
 def _against(
