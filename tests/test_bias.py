@@ -329,11 +329,17 @@ def test_candidates_are_weighed_as_the_formula_says(scatter: float) -> None:
     shown = np.stack([depth, difference, gradient[..., 0], gradient[..., 1], variance,
                       np.full((n, m), 2.0)], axis=-1).astype(np.float32)  # fmt: skip
     shown[::7, 1] = np.nan  # not seen by C2
-    along = np.column_stack([rng.uniform(-2, 2, (n, 2)), rng.uniform(-0.02, 0.02, (n, 2))])
+    middle, scale = np.array([319.5, 255.5, 335.0]), np.array([320.0, 256.0, 15.0])
+    pixels = rng.uniform(0, 1, (n, 2)) * [639, 511]
+    coefficients = rng.uniform(0.2, 0.5, (2, 9)) * rng.choice([-1, 1], (2, 9))
     costs = np.empty((n, m), np.float32)
-    weigh(shown, along, scatter, 1 / 12, costs)
+    weigh(shown, pixels, (coefficients, middle, scale), scatter, 1 / 12, costs)
 
-    displacement = along[:, None, :2] + along[:, None, 2:] * depth[..., None]
+    u, v = ((pixels - middle[:2]) / scale[:2]).T[:, :, None]
+    t = (depth - middle[2]) / scale[2]
+    one = np.ones_like(t)
+    terms = [one, u * one, v * one, u * u * one, u * v * one, v * v * one, t, t * u, t * v]
+    displacement = np.stack(terms, axis=-1) @ coefficients.T
     residual = difference - (gradient * displacement).sum(axis=-1)
     residual -= np.rint(residual)
     total = variance + (scatter * np.linalg.norm(gradient, axis=-1)) ** 2
@@ -344,10 +350,10 @@ def test_candidates_are_weighed_as_the_formula_says(scatter: float) -> None:
     np.testing.assert_array_equal(np.isfinite(costs), known)
     np.testing.assert_allclose(costs[known], expected[known], rtol=1e-4, atol=1e-3)
     # Each part of the bias has its say.
-    for left_out in range(4):
-        less = along.copy()
-        less[:, left_out] = 0
-        weigh(shown, less, scatter, 1 / 12, costs)
+    for left_out in np.ndindex(2, 9):
+        less = coefficients.copy()
+        less[left_out] = 0
+        weigh(shown, pixels, (less, middle, scale), scatter, 1 / 12, costs)
         assert np.abs(costs[known] - expected[known]).max() > 1
 
 

@@ -48,7 +48,9 @@ def choice_of(task: Any, turns: Floats, off: Any, cost: Any = 0.0) -> Choice:
     orders = true[:, None] + LABELS.astype(np.int32)
     shown = np.zeros((n, len(LABELS), _orders.N_SHOWN), np.float32)
     costs = np.broadcast_to(np.asarray(cost, np.float32), (n, len(LABELS))).copy()
-    candidates = Candidates(orders, shown, np.zeros_like(costs), np.ones_like(costs, bool))
+    first = orders[:, 0].copy()
+    inside = np.ones_like(costs, bool)
+    candidates = Candidates(first, 1, orders, shown, np.zeros_like(costs), inside)
     place = np.broadcast_to(off, valid.shape)[valid].astype(np.intp) + 4
     return Choice(candidates, costs, place, np.full(n, 0.999), np.zeros(n))
 

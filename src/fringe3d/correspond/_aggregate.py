@@ -2,6 +2,8 @@
 
 After H. Hirschmueller, "Stereo processing by semiglobal matching and mutual information" (2008),
 with fringe orders in place of disparities: what moves freely is the *absolute* phase.
+
+Costs are whole numbers: sums do not depend on their order, nor on the number of threads.
 """
 
 from __future__ import annotations
@@ -9,10 +11,13 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import get_num_threads, njit, prange
+from numba import njit, prange
 from numpy.typing import NDArray
 
+from fringe3d.correspond._lanes import LANES, carry
+
 TWO_PI = 2.0 * math.pi
+TURNS_PER_RAD = np.float32(1 / TWO_PI)
 
 STEP_PENALTY, JUMP_PENALTY = 5.0, 14.0
 """For one order between neighbours, and for any other number. Too weak ones cost most: the second
@@ -24,113 +29,195 @@ BEND_RAD = 0.3
 LEAST_PENALTY = 0.05
 """Part of the penalty that is left on an edge."""
 
-FAR = np.float32(1e9)
+UNIT = 256
+"""Costs are counted in parts of a half squared deviation. Eight paths of at most the largest cost
+of a pixel, 7.2, and the penalty of a jump each: their sum stays below 2**16."""
 
-MOST_TOTALS = 4
-"""Threads that hold a sum of their own: memory."""
+FAR = np.uint16(20_000)
+"""Cost of a label that no order stands for; more than any path's."""
 
-DIRECTIONS = ((0, 1), (0, -1), (1, 0), (-1, 0), (1, 1), (1, -1), (-1, 1), (-1, -1))
+FAR_ENERGY = np.uint16(2**16 - 1)
 
+WAYS = ((0, 1), (1, 0), (1, 1), (1, -1))
+"""(rows, columns) from a pixel to its neighbour; four more lead back."""
 
-@njit(cache=True, error_model="numpy")
-def _step(here, there, before, phase, index, orders, costs, paths, result):  # type: ignore[no-untyped-def]
-    """Carry the evidence from pixel `there` to its neighbour `here`, (row, col) each."""
-    i = index[here]
-    n = orders.shape[1]
-    j = index[there] if there[0] >= 0 else -1
-    if j < 0:
-        for a in range(n):
-            result[a] = costs[i, a]
-        return
-    rise = phase[here] - phase[there]
-    turns = math.floor(rise / TWO_PI + 0.5)
-    weight = 1.0
-    if before[0] >= 0 and index[before] >= 0:
-        former = phase[there] - phase[before]
-        bend = (rise - TWO_PI * turns) - (former - TWO_PI * math.floor(former / TWO_PI + 0.5))
-        bend /= BEND_RAD
-        weight = max(math.exp(-bend * bend), LEAST_PENALTY)
-    least = FAR
-    for b in range(n):
-        least = min(least, paths[b])
-    b = 0
-    for a in range(n):
-        if costs[i, a] >= FAR:
-            result[a] = FAR
-            continue
-        wanted = orders[i, a] + turns
-        best = least + weight * JUMP_PENALTY
-        while b < n and costs[j, b] < FAR and orders[j, b] < wanted - 1:
-            b += 1
-        c = b
-        while c < n and costs[j, c] < FAR and orders[j, c] <= wanted + 1:
-            penalty = 0.0 if orders[j, c] == wanted else weight * STEP_PENALTY
-            best = min(best, paths[c] + penalty)
-            c += 1
-        result[a] = costs[i, a] + best - least
+N_PATHS = 2 * len(WAYS)
+
+U16 = np.uint16
 
 
 @njit(cache=True, error_model="numpy")
-def _advance(step, line, dy, dx, phase, index, orders, costs, paths, total):  # type: ignore[no-untyped-def]
-    """Move one line of a sweep on by one pixel, and add what it carries to `total`."""
-    n_rows, n_cols = phase.shape
-    row = line if dy == 0 else (step if dy > 0 else n_rows - 1 - step)
-    col = line if dy != 0 else (step if dx > 0 else n_cols - 1 - step)
-    i = index[row, col]
-    if i < 0:
-        return
-    there, before = (-1, -1), (-1, -1)
-    if 0 <= row - dy < n_rows and 0 <= col - dx < n_cols:
-        there = (row - dy, col - dx)
-        if 0 <= row - 2 * dy < n_rows and 0 <= col - 2 * dx < n_cols:
-            before = (row - 2 * dy, col - 2 * dx)
-    former = line if dy == 0 else max(there[1], 0)
-    result = paths[step % 2, line]
-    _step((row, col), there, before, phase, index, orders, costs, paths[(step + 1) % 2, former],
-          result)  # fmt: skip
-    for a in range(len(result)):
-        if costs[i, a] < FAR:
-            total[i, a] += result[a]
-
-
-@njit(cache=True, error_model="numpy")
-def _sweep(dy, dx, phase, index, orders, costs, total):  # type: ignore[no-untyped-def]
-    """Add the path costs of one direction to `total`."""
-    n_rows, n_cols = phase.shape
-    n_steps, n_lines = (n_cols, n_rows) if dy == 0 else (n_rows, n_cols)
-    paths = np.empty((2, n_lines, costs.shape[1]), np.float32)
-    for step in range(n_steps):
-        for line in range(n_lines):
-            _advance(step, line, dy, dx, phase, index, orders, costs, paths, total)
+def _wrapped(angle):  # type: ignore[no-untyped-def]
+    return angle - TWO_PI * math.floor(angle / TWO_PI + 0.5)
 
 
 @njit(cache=True, parallel=True, error_model="numpy")
-def _all_sweeps(directions, phase, index, orders, costs, totals):  # type: ignore[no-untyped-def]
-    """Sweep in all directions; each thread has a total of its own and its share of them."""
-    n_threads = len(totals)
-    for thread in prange(n_threads):
-        for number in range(thread, len(directions), n_threads):
-            _sweep(directions[number, 0], directions[number, 1], phase, index, orders, costs,
-                   totals[thread])  # fmt: skip
+def write_jumps(phase, index, jumps):  # type: ignore[no-untyped-def]
+    """Write the price of a jump next to each pixel, (n, 4) for `WAYS`: less where the phase bends.
+
+    phase (row, col): rad; index (row, col): number of the pixel, -1 for none.
+    """
+    n_rows, n_cols = phase.shape
+    for row in prange(n_rows):
+        for col in range(n_cols):
+            i = index[row, col]
+            if i < 0:
+                continue
+            for way in range(4):
+                dy, dx = WAYS[way]
+                weight = 1.0
+                inside = row - dy >= 0 and row + dy < n_rows
+                inside &= min(col - dx, col + dx) >= 0 and max(col - dx, col + dx) < n_cols
+                if inside and index[row - dy, col - dx] >= 0 and index[row + dy, col + dx] >= 0:
+                    rise = _wrapped(phase[row + dy, col + dx] - phase[row, col])
+                    bend = rise - _wrapped(phase[row, col] - phase[row - dy, col - dx])
+                    weight = math.exp(-((bend / BEND_RAD) ** 2))
+                jumps[i, way] = U16(UNIT * JUMP_PENALTY * max(weight, LEAST_PENALTY) + 0.5)
+
+
+@njit(cache=True, error_model="numpy")
+def _place(gap, label_step, n_labels, middle, nowhere):  # type: ignore[no-untyped-def]
+    """Return where the labels stand that are `gap` orders further on."""
+    shift = gap
+    if label_step > 1:
+        shift = gap // label_step
+        if shift * label_step != gap:
+            return nowhere
+    if abs(shift) >= n_labels:
+        return nowhere
+    return middle + shift
+
+
+@njit(cache=True, error_model="numpy")
+def _sweep(sign, phase, index, first, label_step, jumps, costs, total):  # type: ignore[no-untyped-def]
+    """Follow four paths through the image, down (sign 1) or up (-1), and add up what they carry."""
+    n_rows, n_cols = phase.shape
+    n_labels = costs.shape[1]
+    width = 2 * n_labels  # the labels of each pixel, and no orders between them and the next
+    paths = np.full(2 * 4 * n_cols * width + 2 * n_labels, FAR, np.uint16)
+    leasts = np.zeros((2, 4, n_cols), np.uint16)
+    flat_costs, flat_total = costs.reshape(-1), total.reshape(-1)
+    for line in range(n_rows):
+        row = line if sign > 0 else n_rows - 1 - line
+        for along in range(n_cols):
+            col = along if sign > 0 else n_cols - 1 - along
+            i = index[row, col]
+            if i < 0:
+                continue
+            for way in range(4):
+                dy, dx = WAYS[way]
+                y, x = row - sign * dy, col - sign * dx
+                j = index[y, x] if 0 <= y < n_rows and 0 <= x < n_cols else -1
+                to = ((line % 2) * 4 + way) * n_cols + col
+                same, above, below = 0, 0, 0
+                jump, step, least = U16(0), U16(0), U16(0)
+                if j >= 0:
+                    parity = (line - dy) % 2
+                    turns = np.rint((phase[row, col] - phase[y, x]) * TURNS_PER_RAD)
+                    gap = first[i] + int(turns) - first[j]
+                    middle = ((parity * 4 + way) * n_cols + x) * width + n_labels
+                    same = _place(gap, label_step, n_labels, middle, 0)
+                    above = _place(gap + 1, label_step, n_labels, middle, 0)
+                    below = _place(gap - 1, label_step, n_labels, middle, 0)
+                    least = leasts[parity, way, x]
+                    step = U16(jumps[j, way] * (STEP_PENALTY / JUMP_PENALTY) + 0.5)
+                    jump = U16(least + jumps[j, way])
+                smallest = U16(65535)
+                for block in range(0, n_labels, LANES):
+                    smallest = min(smallest, carry(  # type: ignore[call-arg]
+                        paths, same + block, above + block, below + block, flat_costs, flat_total,
+                        i * n_labels + block, to * width + n_labels + block, step, jump, least,
+                    ))  # fmt: skip
+                leasts[line % 2, way, col] = smallest
+
+
+@njit(cache=True, parallel=True, error_model="numpy")
+def _both_sweeps(phase, index, first, label_step, jumps, costs, totals):  # type: ignore[no-untyped-def]
+    for number in prange(2):
+        _sweep(1 - 2 * number, phase, index, first, label_step, jumps, costs, totals[number])
+
+
+@njit(cache=True, parallel=True, error_model="numpy")
+def _summed(totals, costs, energy):  # type: ignore[no-untyped-def]
+    """Write the sum of all paths, each pixel's own cost counted once; `FAR_ENERGY` for no order."""
+    for i in prange(len(energy)):
+        for a in range(energy.shape[1]):
+            own = costs[i, a]
+            known = own < FAR
+            rest = U16(totals[0, i, a] + totals[1, i, a] - (N_PATHS - 1) * own)
+            energy[i, a] = rest if known else FAR_ENERGY
+
+
+@njit(cache=True, parallel=True, error_model="numpy")
+def write_own_costs(costs, extras, is_label, largest, own):  # type: ignore[no-untyped-def]
+    """Write what each pixel alone has against its labels, in parts of `UNIT`, (n, padded(m)).
+
+    costs, extras (n, m): squared deviations in C2, NaN where it sees nothing, and of all else;
+    largest: of each and of both, and the price of what C2 does not see, half squared deviations.
+    """
+    most, most_extra, most_in_all, hidden = largest
+    for i in prange(len(own)):
+        own[i] = FAR
+        for a in range(costs.shape[1]):
+            if is_label[i, a]:
+                cost = hidden if math.isnan(costs[i, a]) else min(costs[i, a] / 2, most)
+                cost = min(cost + min(extras[i, a] / 2, most_extra), most_in_all)
+                own[i, a] = U16(UNIT * cost + 0.5)
+
+
+@njit(cache=True, parallel=True, error_model="numpy")
+def choose(energy, is_label, is_inside, outside_cost, place, probability, outside):  # type: ignore[no-untyped-def]
+    """Write the label of least energy, its probability, and that of all labels outside, (n,).
+
+    energy (n, >= m): in parts of `UNIT`; outside_cost: what speaks against a label outside the
+    volume; is_label, is_inside (n, m). NaN where there is no label.
+    """
+    for i in prange(len(place)):
+        best, least = 0, 1e9
+        for a in range(is_inside.shape[1]):
+            value = energy[i, a] + (0 if is_inside[i, a] else outside_cost)
+            if is_label[i, a] and value < least:
+                best, least = a, value
+        total, beyond = 0.0, 0.0
+        for a in range(is_inside.shape[1]):
+            if is_label[i, a]:
+                value = energy[i, a] + (0 if is_inside[i, a] else outside_cost)
+                weight = math.exp((least - value) / UNIT)
+                total += weight
+                beyond += 0.0 if is_inside[i, a] else weight
+        place[i] = best
+        probability[i] = 1 / total if total > 0 else np.nan
+        outside[i] = beyond / total if total > 0 else np.nan
+
+
+def padded(n_labels: int, /) -> int:
+    """Return the number of labels that kernels take: a multiple of the vector's length."""
+    return -(-n_labels // LANES) * LANES
 
 
 def aggregate(
     phase: NDArray[np.float32],
     index: NDArray[np.int32],
-    orders: NDArray[np.int32],
-    costs: NDArray[np.float32],
+    first: NDArray[np.int32],
+    label_step: int,
+    costs: NDArray[np.uint16],
+    jumps: NDArray[np.uint16] | None = None,
     /,
-) -> NDArray[np.float32]:
+) -> NDArray[np.uint16]:
     """Return the evidence against each candidate, (n, m), all pixels of the image considered.
 
-    phase (row, col): rad; index (row, col): number of the pixel in the lists, -1 for none; orders,
-    costs (n, m): candidates, rising, and their own costs (half squared deviations), `FAR` for none.
+    phase (row, col): rad; index (row, col): number of the pixel in the lists, -1 for none; label a
+    of pixel i stands for the order ``first[i] + a * label_step``; costs (n, m), in parts of `UNIT`:
+    its own, `FAR` for none, m a multiple of `LANES`; jumps: as `write_jumps` writes them.
 
     The sum of the eight path costs counts the pixel's own cost eight times; all but one are taken
     off, which makes it the least cost of any assignment along the paths that has this order.
     """
-    n_threads = min(get_num_threads(), MOST_TOTALS)
-    totals = np.zeros((n_threads, *costs.shape), np.float32)
-    _all_sweeps(np.array(DIRECTIONS), phase, index, orders, costs, totals)
-    total = totals.sum(axis=0)
-    return np.where(costs < FAR, total - (len(DIRECTIONS) - 1) * costs, FAR).astype(np.float32)
+    if jumps is None:
+        jumps = np.empty((len(costs), len(WAYS)), np.uint16)
+        write_jumps(phase, index, jumps)
+    totals = np.zeros((2, *costs.shape), np.uint16)
+    _both_sweeps(phase, index, first, label_step, jumps, costs, totals)
+    energy = np.empty_like(costs)
+    _summed(totals, costs, energy)
+    return energy

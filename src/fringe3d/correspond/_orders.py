@@ -159,26 +159,39 @@ def _order_range(ends, i, guard, turns, ray1, axis, period):  # type: ignore[no-
     return lowest, math.floor((max(w0, w1, middle) + guard[i]) / period - turns)
 
 
+@njit(cache=True, error_model="numpy")
+def _of_class(ends, i, guard, turns, ray1, axis, period, name, class_of_order, first_order):  # type: ignore[no-untyped-def]
+    """Return the lowest and highest order of a class on a part of the viewing ray."""
+    lowest, highest = _order_range(ends, i, guard, turns, ray1, axis, period)
+    lowest = max(lowest, first_order)
+    highest = min(highest, first_order + len(class_of_order) - 1)
+    while lowest <= highest and class_of_order[lowest - first_order] != name:
+        lowest += 1
+    while lowest <= highest and class_of_order[highest - first_order] != name:
+        highest -= 1
+    return lowest, highest
+
+
 @njit(cache=True, parallel=True, error_model="numpy")
-def count_candidates(  # type: ignore[no-untyped-def]
-    ends, guard, class1, ray1, axis, period, phase1, class_of_order, first_order, count
-):
-    """Write how many orders of its class lie on each pixel's part of the ray; see below."""
+def find_range(ends, guard, class1, ray1, axis, period, phase1, class_of_order, first_order, found):  # type: ignore[no-untyped-def]
+    """Write the lowest and highest order (n, 2) of its class on each pixel's part of the ray; see
+    below. The highest is less than the lowest where there is none."""
     for i in prange(len(class1)):
-        lowest, highest = _order_range(ends, i, guard, phase1[i] / TWO_PI, ray1, axis, period)
-        lowest = max(lowest, first_order)
-        highest = min(highest, first_order + len(class_of_order) - 1)
-        count[i] = 0
-        for order in range(lowest, highest + 1):
-            count[i] += class_of_order[order - first_order] == class1[i]
+        found[i, 0], found[i, 1] = _of_class(
+            ends, i, guard, phase1[i] / TWO_PI, ray1, axis, period, class1[i], class_of_order,
+            first_order,
+        )  # fmt: skip
 
 
 @njit(cache=True, parallel=True, error_model="numpy")
-def list_candidates(ends, guard, class1, task, orders, shown, extras, is_inside):  # type: ignore[no-untyped-def]
+def list_candidates(  # type: ignore[no-untyped-def]
+    inner_ends, guard, class1, found, label_step, task, orders, shown, extras, is_inside
+):
     """Write the orders of its class on each pixel's segment, and what the devices show of them.
 
-    ends: two (n, 2) mm, parts of the viewing rays, of the wide segment and of the volume; guard
-    (n,): projector px by which a candidate may lie beyond; class1 (n,): its class of orders. task =
+    inner_ends (n, 2) mm: part of the viewing rays inside the volume; guard (n,): projector px by
+    which a candidate may lie beyond; class1 (n,): its class of orders; found (n, 2): as
+    `find_range` writes it; label_step: orders between the columns of what is written. task =
     (ray1, ray2, axis, period, first, others): ray1 = (base (3,), along (n, 3), lens) in the
     projector's frame, ray2 in that of C2; axis (2,), period: of the fringes; first = (phase1 (n,),
     sigma1 (n,), phase2, sigma2, class2 (maps), class_of_order, first_order); others = (phases,
@@ -188,17 +201,13 @@ def list_candidates(ends, guard, class1, task, orders, shown, extras, is_inside)
     fringes and whether the candidate lies in the volume, (n, m); m bounds their number.
     """
     ray1, ray2, axis, period, first, others = task
-    wide_ends, inner_ends = ends
     class_of_order, first_order = first[5], first[6]
     for i in prange(len(class1)):
         turns = first[0][i] / TWO_PI
-        lowest, highest = _order_range(wide_ends, i, guard, turns, ray1, axis, period)
-        lowest = max(lowest, first_order)
-        highest = min(highest, first_order + len(class_of_order) - 1)
         first_inside, last_inside = _order_range(inner_ends, i, guard, turns, ray1, axis, period)
-        place = 0
-        for order in range(lowest, highest + 1):
-            if class_of_order[order - first_order] != class1[i] or place == orders.shape[1]:
+        for place in range((found[i, 1] - found[i, 0]) // label_step + 1):
+            order = found[i, 0] + place * label_step
+            if class_of_order[order - first_order] != class1[i]:
                 continue
             t = _sheet_depth(ray1[0], ray1[1][i], (order + turns) * period, ray1[2], axis)
             if t > 0:
@@ -206,22 +215,38 @@ def list_candidates(ends, guard, class1, task, orders, shown, extras, is_inside)
                 extras[i, place] = _other_costs(t, i, per_turn, first[1][i], ray1, period, others)
                 orders[i, place] = order
                 is_inside[i, place] = first_inside <= order <= last_inside
-                place += 1
 
 
 @njit(cache=True, parallel=True, error_model="numpy")
-def weigh(shown, bias, scatter, most_sigma, costs):  # type: ignore[no-untyped-def]
+def weigh(shown, pixels, bias, scatter, most_sigma, costs):  # type: ignore[no-untyped-def]
     """Write the squared deviation of each candidate from what C2 shows, (n, m); NaN if unseen.
 
-    bias (n, 4): displacement in C2, px, at depth 0 (x, y) and its rise with depth; scatter: px that
-    it leaves unexplained.
+    pixels (n, 2): of C1; bias = (coefficients_px (2, 9), middle (3,), scale (3,)) as in
+    `CalibrationBias`; scatter: px that it leaves unexplained.
     """
+    c, middle, scale = bias
     for i in prange(shown.shape[0]):
+        u, v = (pixels[i, 0] - middle[0]) / scale[0], (pixels[i, 1] - middle[1]) / scale[1]
+        rise_x, rise_y = _rise(u, v, c[0]), _rise(u, v, c[1])
+        still_x, still_y = _still(u, v, c[0]), _still(u, v, c[1])
         for a in range(shown.shape[1]):
-            t, gx, gy = shown[i, a, DEPTH], shown[i, a, GRADIENT_X], shown[i, a, GRADIENT_Y]
-            expected = gx * (bias[i, 0] + bias[i, 2] * t) + gy * (bias[i, 1] + bias[i, 3] * t)
+            t = (shown[i, a, DEPTH] - middle[2]) / scale[2]
+            gx, gy = shown[i, a, GRADIENT_X], shown[i, a, GRADIENT_Y]
+            expected = gx * (still_x + rise_x * t) + gy * (still_y + rise_y * t)
             residual = shown[i, a, DIFFERENCE] - expected
             residual -= math.floor(residual + 0.5)
             variance = shown[i, a, VARIANCE] + (gx * gx + gy * gy) * scatter * scatter
             fits = variance < most_sigma * most_sigma
             costs[i, a] = residual * residual / variance if fits else np.nan
+
+
+@njit(cache=True, error_model="numpy")
+def _still(u, v, c):  # type: ignore[no-untyped-def]
+    """Return a displacement in the middle of the depths, px."""
+    return c[0] + c[1] * u + c[2] * v + c[3] * u * u + c[4] * u * v + c[5] * v * v
+
+
+@njit(cache=True, error_model="numpy")
+def _rise(u, v, c):  # type: ignore[no-untyped-def]
+    """Return its rise with the depth, px."""
+    return c[6] + c[7] * u + c[8] * v

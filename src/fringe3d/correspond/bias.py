@@ -8,6 +8,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
+from fringe3d.correspond import _robust
 from fringe3d.model import CalibrationBias, Device
 from fringe3d.model.bias import N_TERMS, terms_of
 
@@ -143,38 +144,39 @@ def learn_bias(
     A displacement ``d`` in C2 shows as ``gradient . d``. Robust least squares (Cauchy weights) with
     a ridge prior.
     """
-    data = evidence.part(slice(None, None, max(1, len(evidence) // SAMPLE)))
-    terms = terms_of(data.pixels, data.depths_mm, frame.middle, frame.scale)
-    design = np.hstack([data.gradient[:, :1] * terms, data.gradient[:, 1:] * terms])
+    part = evidence.part(slice(None, None, max(1, len(evidence) // SAMPLE)))
+    terms = terms_of(part.pixels, part.depths_mm, frame.middle, frame.scale)
+    design = np.hstack([part.gradient[:, :1] * terms, part.gradient[:, 1:] * terms])
     prior = np.diag(np.tile(frame.prior_px(), 2) ** -2.0)
-    steepness = np.linalg.norm(data.gradient, axis=1)
-    own = np.sqrt(data.variance)
-    share = len(evidence) / max(len(data), 1) / n_alike  # patches for each datum
-    coefficients = np.zeros(2 * N_TERMS) if start is None else start.coefficients_px.ravel()
+    data = np.column_stack([part.difference, part.variance, (part.gradient**2).sum(axis=1)])
+    noise_px = _noise_px(data)
+    share = len(evidence) / max(len(part), 1) / n_alike  # patches for each datum
+    coefficients: Floats = np.zeros(2 * N_TERMS)
+    if start is not None:
+        coefficients = start.coefficients_px.ravel()
     scatter = 0.3 if start is None else max(start.scatter_px, LEAST_SCATTER_PX)
-    normal = prior
+    normal, right = np.empty(prior.shape), np.empty(len(prior))
+    unwrapped, misfit = np.empty(len(part)), np.empty(len(part))
     for _ in range(ROUNDS):
-        sigma = np.hypot(own, scatter * steepness)
-        left = data.difference - design @ coefficients
-        turns = np.rint(left)
-        left = left - turns
-        weight = 1 / (1 + (left / (2 * sigma)) ** 2) / sigma**2 * share
-        normal = (design * weight[:, None]).T @ design
-        target = data.difference - turns
-        coefficients = np.linalg.solve(normal + prior, (design * weight[:, None]).T @ target)
-        scatter = _scatter(data, data.difference - turns - design @ coefficients)
+        _robust.normal_equations(
+            design, data, coefficients, scatter, share, normal, right, unwrapped
+        )
+        coefficients = np.asarray(np.linalg.solve(normal + prior, right), np.float64)
+        _robust.misfit_per_px(design, unwrapped, data, coefficients, misfit)
+        spread = MAD_TO_SIGMA * _median(misfit)
+        scatter = max(float(np.sqrt(max(spread**2 - noise_px**2, 0))), LEAST_SCATTER_PX)
     return frame.bias(coefficients, scatter_px=scatter, sigma_px=_uncertainty(normal + prior))
 
 
-def _scatter(data: Evidence, left: Floats) -> float:
-    """Return what residuals show beyond their noise, px."""
-    steepness = np.linalg.norm(data.gradient, axis=1)
-    usable = steepness > 0
-    per_px = left[usable] / steepness[usable]
-    all_px = MAD_TO_SIGMA * float(np.median(np.abs(per_px))) if usable.any() else 0.0
-    noise = np.sqrt(data.variance[usable]) / steepness[usable]
-    noise_px = float(np.median(noise)) if usable.any() else 0.0
-    return max(float(np.sqrt(max(all_px**2 - noise_px**2, 0))), LEAST_SCATTER_PX)
+def _noise_px(data: Floats) -> float:
+    """Return what noise alone displaces a point by, px; see `_robust` for the data."""
+    usable = data[:, 2] > 0
+    return _median(np.sqrt(data[usable, 1] / data[usable, 2]))
+
+
+def _median(values: Floats) -> float:
+    known = values[np.isfinite(values)]
+    return float(np.median(known)) if len(known) else 0.0
 
 
 def _uncertainty(normal: Floats) -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -84,8 +85,13 @@ class TwoViews:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Candidates:
-    """The orders on each pixel's segment, (n, m), rising, and what the devices show of them."""
+    """The orders on each pixel's segment, (n, m), and what the devices show of them.
 
+    Column a stands for the order ``first + a * label_step``, or for none (`NO_ORDER`).
+    """
+
+    first: NDArray[np.int32]
+    label_step: int
     orders: NDArray[np.int32]
     shown: NDArray[np.float32]
     extras: NDArray[np.float32]
@@ -239,14 +245,17 @@ class Task:
         )
 
     def _listed(self) -> Candidates:
-        phases1, count = self.views.phases1, np.zeros(len(self.pixels), np.int32)
-        classes = self._of(phases1.order_class)
-        _orders.count_candidates(
+        phases1, found = self.views.phases1, np.empty((len(self.pixels), 2), np.int32)
+        classes, label_step = self._of(phases1.order_class), _label_step(phases1)
+        _orders.find_range(
             self.wide_ends, self.guard, classes, self.ray_p, self.axis, phases1.period_px,
-            self.first[0], phases1.class_of_order, phases1.first_order, count,
+            self.first[0], phases1.class_of_order, phases1.first_order, found,
         )  # fmt: skip
-        shape = (len(self.pixels), max(1, int(count.max(initial=1))))
+        n_orders = int((found[:, 1] - found[:, 0]).max(initial=0)) + 1
+        shape = (len(self.pixels), -(-n_orders // label_step))
         listed = Candidates(
+            first=np.ascontiguousarray(found[:, 0]),
+            label_step=label_step,
             orders=np.full(shape, NO_ORDER, np.int32),
             shown=np.full((*shape, _orders.N_SHOWN), np.nan, np.float32),
             extras=np.zeros(shape, np.float32),
@@ -254,7 +263,7 @@ class Task:
         )
         task = (self.ray_p, self.ray_2, self.axis, phases1.period_px, self.first, self._others())
         _orders.list_candidates(
-            (self.wide_ends, self.ends), self.guard, classes, task, listed.orders, listed.shown,
+            self.ends, self.guard, classes, found, label_step, task, listed.orders, listed.shown,
             listed.extras, listed.is_inside,
         )  # fmt: skip
         return listed
@@ -269,24 +278,25 @@ class Task:
         """Return the squared deviations in C2, (n, m); NaN where it does not see the point."""
         scatter = bias.scatter_px if scatter_px is None else scatter_px
         costs = np.empty(self.listed.orders.shape, np.float32)
-        _orders.weigh(self.listed.shown, bias.along(self.pixels), scatter, MOST_SIGMA, costs)
+        field = bias.coefficients_px, bias.middle, bias.scale
+        _orders.weigh(self.listed.shown, self.pixels, field, scatter, MOST_SIGMA, costs)
         return costs
 
     def decide(self, bias: CalibrationBias, *, scatter_px: float | None = None) -> Choice:
         """Weigh the candidates, and choose; `scatter_px` stands for that of the bias."""
-        orders, costs = self.listed.orders, self.costs(bias, scatter_px=scatter_px)
-        energy = self._energy(costs)
-        best = energy.argmin(axis=1)
-        weights = np.exp(-(energy - energy.min(axis=1, keepdims=True)).astype(np.float64))
-        weights[orders == NO_ORDER] = 0
-        total = weights.sum(axis=1)
-        total[total == 0] = np.nan
+        costs, n = self.costs(bias, scatter_px=scatter_px), len(self.pixels)
+        place, probability, outside = np.empty(n, np.intp), np.empty(n), np.empty(n)
+        outside_cost = int(_aggregate.UNIT * OUTSIDE_COST)
+        _aggregate.choose(
+            self._energy(costs), self.is_label, self.listed.is_inside, outside_cost, place,
+            probability, outside,
+        )  # fmt: skip
         return Choice(
             candidates=self.listed,
             costs=costs,
-            place=best,
-            probability=1 / total,
-            outside=(weights * ~self.listed.is_inside).sum(axis=1) / total,
+            place=place,
+            probability=probability,
+            outside=outside,
         )
 
     def sigma(self, chosen: Choice, bias: CalibrationBias) -> NDArray[np.float64]:
@@ -303,20 +313,47 @@ class Task:
         scatter = bias.scatter_px * np.linalg.norm(gradient, axis=1)
         return (gradient * moved).sum(axis=1), scatter
 
-    def _energy(self, costs: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return what speaks against each candidate, half squared deviations, (n, m)."""
-        orders, extras = self.listed.orders, self.listed.extras
-        if self.together:
-            index = np.full(self.valid.shape, -1, np.int32)
-            index[self.valid] = np.arange(len(orders), dtype=np.int32)
-            own = np.fmin(np.nan_to_num(costs / 2, nan=HIDDEN_COST), LARGEST_COST)
-            own += np.minimum(extras / 2, LARGEST_EXTRA)
-            own = np.where(orders == NO_ORDER, _aggregate.FAR, own).astype(np.float32)
-            energy = _aggregate.aggregate(self.phase, index, orders, own)
-        else:
-            energy = np.minimum(np.nan_to_num(costs, nan=UNSEEN_COST) + extras, self.limit) / 2
-            energy = np.where(orders == NO_ORDER, _aggregate.FAR, energy)
-        return np.asarray(energy + OUTSIDE_COST * ~self.listed.is_inside, np.float32)
+    def _energy(self, costs: NDArray[np.float32]) -> NDArray[np.uint16]:
+        """Return what speaks against each candidate, see `_aggregate`, (n, m or more)."""
+        is_label, extras = self.is_label, self.listed.extras
+        own = np.empty((len(costs), _aggregate.padded(costs.shape[1])), np.uint16)
+        if not self.together:
+            limits = (self.limit / 2, self.limit / 2, self.limit / 2, UNSEEN_COST / 2)
+            _aggregate.write_own_costs(costs, extras, is_label, limits, own)
+            return own
+        limits = (LARGEST_COST, LARGEST_EXTRA, LARGEST_COST + LARGEST_EXTRA, HIDDEN_COST)
+        _aggregate.write_own_costs(costs, extras, is_label, limits, own)
+        if costs.shape[1] == 1:
+            return own  # nothing to choose
+        return _aggregate.aggregate(
+            self.phase, self.index, self.listed.first, self.listed.label_step, own, self._jumps
+        )
+
+    @cached_property
+    def is_label(self) -> NDArray[np.bool_]:
+        """Tell which columns of the candidates hold one, (n, m)."""
+        return np.asarray(self.listed.orders != NO_ORDER)
+
+    @cached_property
+    def index(self) -> NDArray[np.int32]:
+        """Return the number of each pixel of the grid, -1 where it has no phase."""
+        index = np.full(self.valid.shape, -1, np.int32)
+        index[self.valid] = np.arange(len(self.pixels), dtype=np.int32)
+        return index
+
+    @cached_property
+    def _jumps(self) -> NDArray[np.uint16]:
+        jumps = np.empty((len(self.pixels), len(_aggregate.WAYS)), np.uint16)
+        _aggregate.write_jumps(self.phase, self.index, jumps)
+        return jumps
+
+
+def _label_step(phases: PhaseMap) -> int:
+    """Return the number that divides the distances of all orders of the same class."""
+    order = np.argsort(phases.class_of_order, kind="stable")
+    names = phases.class_of_order[order]
+    gaps = np.diff(order)[names[1:] == names[:-1]]
+    return int(np.gcd.reduce(gaps)) if len(gaps) else len(order)
 
 
 def _wide_ends(near: NDArray[np.float64], far: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from fringe3d.geometry._clip import clip_all
 from fringe3d.geometry.projection import normalize, pixel_grid, project, rays
 from fringe3d.model import Device, MeasuringVolume
 
@@ -67,16 +68,12 @@ def depth_interval(
         Distances along the rays, ``0 <= near``; ``near > far`` where a ray misses the volume
         (or is NaN), ``far`` infinite where the volume is open.
     """
-    near = np.zeros(directions.shape[:-1])
-    far = np.full(directions.shape[:-1], np.inf)
-    for normal, offset in zip(volume.normals, volume.offsets_mm, strict=True):
-        slope, room = directions @ normal, offset - origin @ normal
-        with np.errstate(divide="ignore", invalid="ignore"):
-            crossing = room / slope
-        far = np.where(slope > 0, np.minimum(far, crossing), far)
-        near = np.where(slope < 0, np.maximum(near, crossing), near)
-        far = np.where(np.isnan(slope) | ((slope == 0) & (room < 0)), -np.inf, far)
-    return near, far
+    flat = np.ascontiguousarray(directions, np.float64).reshape(-1, 3)
+    near, far = np.empty(len(flat)), np.empty(len(flat))
+    room = volume.offsets_mm - volume.normals @ origin
+    clip_all(flat, np.ascontiguousarray(volume.normals), room, near, far)
+    shape = directions.shape[:-1]
+    return near.reshape(shape), far.reshape(shape)
 
 
 def epipolar_curve(
