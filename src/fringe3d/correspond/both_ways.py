@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from fringe3d.correspond import _around
 from fringe3d.correspond.bias import Frame
 from fringe3d.correspond.weighing import CLEAR, TWO_PI, Choice, Task, TwoViews
 from fringe3d.geometry import project, rays, sheet_crossing
@@ -70,8 +71,6 @@ def agrees_with_c2(
     certain must agree.
     """
     camera2, phases2 = task.views.camera2, task.views.phases2
-    origin, directions = rays(task.views.camera1, task.pixels)
-    places = project(camera2, origin + chosen.depth_mm[:, None] * directions)
     turns1 = chosen.order + task.first[0] / TWO_PI
     decided = chosen_back.order != NO_ORDER
     certain = decided & (chosen_back.probability > CLEAR) & (chosen_back.cost <= task.limit)
@@ -80,14 +79,9 @@ def agrees_with_c2(
         decided, chosen_back.order + phases2.phase[back.valid] / TWO_PI, np.nan
     )
     certain2[back.valid] = certain
-    col, row = np.rint(np.nan_to_num(places, nan=-9)).astype(np.int64).T
-    n_certain, n_agree = np.zeros(len(row), np.int64), np.zeros(len(row), np.int64)
-    for down in (-1, 0, 1):
-        for right in (-1, 0, 1):
-            y, x = row + down, col + right
-            inside = (y >= 0) & (x >= 0) & (y < camera2.n_rows) & (x < camera2.n_cols)
-            y, x = np.where(inside, y, 0), np.where(inside, x, 0)
-            n_certain += inside & certain2[y, x]
-            agrees = inside & (np.abs(turns2[y, x] - turns1) < SAME_ORDER)
-            n_agree += agrees & (certain2[y, x] | (not strict))
+    n_certain, n_agree = np.empty(len(turns1), np.int8), np.empty(len(turns1), np.int8)
+    _around.count(
+        chosen.depth_mm, task.along_2, task.camera2, turns1, (turns2, certain2), SAME_ORDER, strict,
+        n_certain, n_agree,
+    )  # fmt: skip
     return np.asarray((n_agree > 0) | ((n_certain == 0) & (not strict)))

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from fringe3d.correspond.candidates import ChosenOrders
-from fringe3d.geometry import pixel_grid, project, rays, sheet_crossing
+from fringe3d.geometry import grid_rays, project, sheet_crossing
 from fringe3d.model import Correspondences, Device, Rejection
 
 LOST = np.uint16(Rejection.NO_MATCH | Rejection.AMBIGUOUS)
@@ -39,7 +39,8 @@ def place_lost(
     """
     lost = (chosen.phases.rejection == 0) & (matches.rejection & LOST != 0)
     w = chosen.phases.position_px[lost] + chosen.place_px[lost]
-    origin, directions = rays(camera1, pixel_grid(lost.shape)[lost])
+    origin, directions = grid_rays(camera1)
+    directions = directions[lost]
     angle, half = chosen.phases.angle, chosen.place_sigma_px[lost].astype(np.float64)
     here, there = (
         project(camera2, origin + depth[:, None] * directions)

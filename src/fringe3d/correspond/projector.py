@@ -12,6 +12,7 @@ from fringe3d.errors import MethodError
 from fringe3d.geometry import (
     closest_depths,
     epipolar_segment,
+    grid_rays,
     pixel_grid,
     project,
     rays,
@@ -176,7 +177,8 @@ def depths_of_orders(
         rejected or the sheets are not met.
     """
     valid = phases.rejection == 0
-    origin, directions = rays(camera, pixel_grid(valid.shape)[valid])
+    origin, directions = grid_rays(camera)
+    directions = directions[valid]
     ends = []
     for half in (-half_px, half_px):
         position = (phases.position_px + half)[valid]

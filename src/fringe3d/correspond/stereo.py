@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from fringe3d.correspond import _search
 from fringe3d.errors import MethodError
-from fringe3d.geometry import depth_interval, frustum, pixel_grid, project, rays
+from fringe3d.geometry import depth_interval, frustum, grid_rays, pixel_grid, project, rays
 from fringe3d.geometry.projection import lens_of
 from fringe3d.model import (
     NO_ORDER,
@@ -73,7 +73,8 @@ def match_cameras(
     """
     _require_same_fringes(phases1, phases2)
     valid = phases1.rejection == 0
-    origin, directions = rays(camera1, pixel_grid(valid.shape)[valid])
+    origin, directions = grid_rays(camera1)
+    directions = directions[valid]
     seen = frustum(camera2)
     bounds = seen if volume is None else volume.intersection(seen)
     near, far = depth_interval(origin, directions, bounds)

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from fringe3d.correspond.surfaces import surfaces
 from fringe3d.correspond.weighing import Choice, Task
-from fringe3d.geometry import project, rays, sheet_crossing
+from fringe3d.geometry import project, sheet_crossing
 from fringe3d.model import NO_ORDER, Device
 
 Bools = NDArray[np.bool_]
@@ -45,8 +45,7 @@ def takes_foreign_light(task: Task, chosen: Choice, trusted: Bools, projector: D
         return wrong
     surface = surfaces(task, chosen.order, claims)
     sizes = np.bincount(surface)
-    origin, directions = rays(task.views.camera1, task.pixels[claims])
-    points = origin + chosen.depth_mm[claims, None] * directions
+    points = task.origin + chosen.depth_mm[claims, None] * task.directions[claims]
     ray, light = np.linalg.norm(points - projector.center_world, axis=1), project(projector, points)
     cell, n_cells = _cells(light, task, claims)
     owner = np.full(n_cells, -1)
@@ -80,10 +79,9 @@ def _way_in_a_period(task: Task, chosen: Choice, projector: Device) -> float:
     """Return how far a ray of C1 goes from one light sheet of its phase to the next, mm."""
     known = np.flatnonzero(chosen.order != NO_ORDER)
     index = known[:: max(1, len(known) // SAMPLE)]
-    origin, directions = rays(task.views.camera1, task.pixels[index])
     phases = task.views.phases1
     turns = chosen.order[index] + task.first[0][index] / (2 * np.pi)
     next_one = sheet_crossing(
-        projector, origin, directions, (turns + 1) * phases.period_px, phases.angle
+        projector, task.origin, task.directions[index], (turns + 1) * phases.period_px, phases.angle
     )
     return float(np.nanmedian(np.abs(next_one - chosen.depth_mm[index])))

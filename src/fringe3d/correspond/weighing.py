@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fringe3d.correspond import _aggregate, _orders
+from fringe3d.correspond import _aggregate, _curves, _orders
 from fringe3d.correspond.bias import Evidence, Frame, frame_of
 from fringe3d.correspond.projector import OUTSIDE_PART, guard_px
-from fringe3d.geometry import depth_interval, pixel_grid, rays
+from fringe3d.geometry import depth_interval, grid_rays, pixel_grid
 from fringe3d.geometry.projection import lens_of
 from fringe3d.model import (
     NO_ORDER,
@@ -152,7 +152,7 @@ class Choice:
     @property
     def depth_mm(self) -> NDArray[np.float64]:
         """Return the distance along the ray, (n,)."""
-        return self.shown[:, _orders.DEPTH].astype(np.float64)
+        return self._at(self.candidates.shown[..., _orders.DEPTH]).astype(np.float64)
 
     def _at(self, table: NDArray[Any]) -> NDArray[Any]:
         return np.asarray(table[np.arange(len(self.place)), self.place])
@@ -191,21 +191,24 @@ class Task:
         self.phase = np.ascontiguousarray(phases1.phase[self.grid])
         self.valid = phases1.rejection[self.grid] == 0
         self.pixels = pixel_grid(phases1.phase.shape)[self.grid][self.valid]
-        origin, directions = rays(views.camera1, self.pixels)
+        origin, directions = grid_rays(views.camera1)
+        directions = directions[self.grid][self.valid]
+        self.origin, self.directions = origin, directions
         near, far = depth_interval(origin, directions, volume)
         self.ends = np.column_stack([near, far])
         self.wide_ends = _wide_ends(near, far)
         self.misses = ~(near < far)
         self.guard = self._of(guard_px(phases1))
-        self.axis = np.array([np.cos(phases1.angle), np.sin(phases1.angle)])
-        self.ray_p, self.ray_2 = (
-            (
-                device.device_from_world.apply(origin),
-                np.ascontiguousarray(device.device_from_world.rotate(directions)),
-                lens_of(device),
-            )
+        self.along_p, self.along_2 = (
+            np.ascontiguousarray(device.device_from_world.rotate(directions))
             for device in (projector, views.camera2)
         )
+        base_p, base_2 = (
+            device.device_from_world.apply(origin) for device in (projector, views.camera2)
+        )
+        axis = np.array([np.cos(phases1.angle), np.sin(phases1.angle)])
+        self.projector = (base_p, lens_of(projector), axis)
+        self.camera2 = (base_2, lens_of(views.camera2))
         self.first = (
             self._of(phases1.phase),
             self._of(phases1.phase_std),
@@ -218,7 +221,7 @@ class Task:
         self.listed = self._listed()
         self.before = np.full(len(self.pixels), np.nan)  # absolute phase in the frame before, turns
 
-    @property
+    @cached_property
     def frame(self) -> Frame:
         """Return over what the bias is a function; an empty volume has any."""
         ends = self.wide_ends[np.isfinite(self.wide_ends).all(axis=1)]
@@ -245,25 +248,31 @@ class Task:
         )
 
     def _listed(self) -> Candidates:
-        phases1, found = self.views.phases1, np.empty((len(self.pixels), 2), np.int32)
+        phases1, n = self.views.phases1, len(self.pixels)
         classes, label_step = self._of(phases1.order_class), _label_step(phases1)
+        curves, wide, inner = np.empty((n, _curves.N_CURVE)), np.empty((n, 2)), np.empty((n, 2))
+        _curves.trace(self.wide_ends, self.along_p, self.along_2, self.projector, self.camera2,
+                      curves, wide)  # fmt: skip
+        _curves.span_of(self.ends, self.along_p, self.projector, inner)
+        found, inside = np.empty((n, 2), np.int32), np.empty((n, 2), np.int32)
         _orders.find_range(
-            self.wide_ends, self.guard, classes, self.ray_p, self.axis, phases1.period_px,
-            self.first[0], phases1.class_of_order, phases1.first_order, found,
+            (wide, inner), self.guard, classes, phases1.period_px, self.first[0],
+            phases1.class_of_order, phases1.first_order, found, inside,
         )  # fmt: skip
         n_orders = int((found[:, 1] - found[:, 0]).max(initial=0)) + 1
-        shape = (len(self.pixels), -(-n_orders // label_step))
+        shape = (n, -(-n_orders // label_step))
         listed = Candidates(
             first=np.ascontiguousarray(found[:, 0]),
             label_step=label_step,
-            orders=np.full(shape, NO_ORDER, np.int32),
-            shown=np.full((*shape, _orders.N_SHOWN), np.nan, np.float32),
-            extras=np.zeros(shape, np.float32),
-            is_inside=np.zeros(shape, bool),
+            orders=np.empty(shape, np.int32),
+            shown=np.empty((*shape, _orders.N_SHOWN), np.float32),
+            extras=np.empty(shape, np.float32),
+            is_inside=np.empty(shape, np.bool_),
         )
-        task = (self.ray_p, self.ray_2, self.axis, phases1.period_px, self.first, self._others())
+        task = (self.along_p, self.along_2, self.projector, self.camera2, phases1.period_px,
+                self.first, self._others())  # fmt: skip
         _orders.list_candidates(
-            self.ends, self.guard, classes, found, label_step, task, listed.orders, listed.shown,
+            classes, (found, inside), label_step, curves, task, listed.orders, listed.shown,
             listed.extras, listed.is_inside,
         )  # fmt: skip
         return listed

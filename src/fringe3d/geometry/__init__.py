@@ -10,6 +10,7 @@ from fringe3d.geometry.epipolar import (
 )
 from fringe3d.geometry.placing import above, looking_at, looking_at_origin
 from fringe3d.geometry.projection import (
+    grid_rays,
     normalize,
     pixel_grid,
     project,
@@ -25,6 +26,7 @@ __all__ = [
     "epipolar_curve",
     "epipolar_segment",
     "frustum",
+    "grid_rays",
     "looking_at",
     "looking_at_origin",
     "normalize",

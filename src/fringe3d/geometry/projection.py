@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fringe3d.geometry import _lens
 from fringe3d.model import Device
+
+CAMERAS_KEPT = 3
+"""Cameras whose viewing rays are kept between measurements, 24 bytes a pixel."""
 
 
 def lens_of(device: Device, /) -> NDArray[np.float64]:
@@ -102,6 +107,14 @@ def rays(device: Device, pixels: ArrayLike, /) -> tuple[NDArray[np.float64], NDA
     """Return origin (3,), mm, and unit directions (..., 3) of viewing rays in the world frame."""
     world_from_device = device.device_from_world.inverse()
     return world_from_device.translation, world_from_device.rotate(unproject(device, pixels))
+
+
+@lru_cache(maxsize=CAMERAS_KEPT)
+def grid_rays(device: Device, /) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return `rays` of all pixels, (3,) and (row, col, 3), kept for the next call: read only."""
+    origin, directions = rays(device, pixel_grid(device.shape))
+    origin.flags.writeable = directions.flags.writeable = False
+    return origin, directions
 
 
 def pixel_grid(shape: tuple[int, int], /) -> NDArray[np.float64]:

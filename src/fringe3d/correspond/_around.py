@@ -1,0 +1,35 @@
+"""What C2 decided around the points of C1, compiled."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit, prange
+
+from fringe3d.correspond._curves import pixel
+
+
+@njit(cache=True, parallel=True, error_model="numpy")
+def count(depths, along, camera2, turns1, decided2, apart, strict, n_certain, n_agree):  # type: ignore[no-untyped-def]
+    """Count the pixels of C2, of the nine around a point, that are certain, and that agree.
+
+    depths (n,): mm; along (n, 3): the rays in the frame of C2; camera2 = (base (3,), lens); turns1
+    (n,): absolute phase, periods; decided2 = (turns2, certain2), (row, col): what C2 decided, NaN
+    for nothing; apart: periods between what agrees. If strict, only those count that are certain.
+    """
+    base, lens = camera2
+    turns2, certain2 = decided2
+    n_rows, n_cols = turns2.shape
+    for i in prange(len(depths)):
+        n_certain[i], n_agree[i] = 0, 0
+        x, y = pixel(base, along[i], depths[i], lens)
+        if math.isnan(x + y) or not (-2 < x < n_cols + 1 and -2 < y < n_rows + 1):
+            continue
+        col, row = int(np.rint(x)), int(np.rint(y))
+        for near_row in range(max(row - 1, 0), min(row + 2, n_rows)):
+            for near_col in range(max(col - 1, 0), min(col + 2, n_cols)):
+                certain = certain2[near_row, near_col]
+                n_certain[i] += certain
+                if abs(turns2[near_row, near_col] - turns1[i]) < apart and (certain or not strict):
+                    n_agree[i] += 1
