@@ -34,7 +34,7 @@ N_CURVE = 16
 DEPTH_0 + DEPTH_RISE u + u (1 - u) (DEPTH_A + DEPTH_B u); x and y likewise, with r = BEND."""
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", inline="always")
 def pixel(base, along, t, lens):  # type: ignore[no-untyped-def]
     """Return the pixel of a point of a viewing ray, NaN behind the device."""
     z = base[2] + t * along[2]
@@ -102,7 +102,7 @@ def _slope(u, rise, a, b):  # type: ignore[no-untyped-def]
     return rise + a * (1 - 2 * u) + b * u * (2 - 3 * u)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", inline="always")
 def curve_point(w, c):  # type: ignore[no-untyped-def]
     """Return the same from a curve."""
     s = (w - c[START]) * c[PER_W]
@@ -175,12 +175,13 @@ def span_of(ends, along_p, projector, span):  # type: ignore[no-untyped-def]
     """Write the least and the largest w, (n, 2) px, on parts of viewing rays; see `trace`."""
     base_p, lens_p, axis = projector
     for i in prange(len(ends)):
-        near, far = ends[i, 0], ends[i, 1]
-        _span((
-            across(base_p, along_p[i], near, lens_p, axis),
-            across(base_p, along_p[i], 0.5 * (near + far), lens_p, axis),
-            across(base_p, along_p[i], far, lens_p, axis),
-        ), span[i])  # fmt: skip
+        least, largest, total = np.inf, -np.inf, 0.0
+        for k in range(3):
+            t = ends[i, 0] + 0.5 * k * (ends[i, 1] - ends[i, 0])
+            w = across(base_p, along_p[i], t, lens_p, axis)
+            least, largest, total = min(least, w), max(largest, w), total + w
+        known = not math.isnan(total)
+        span[i, 0], span[i, 1] = least if known else np.nan, largest if known else np.nan
 
 
 @njit(cache=True, parallel=True, error_model="numpy")

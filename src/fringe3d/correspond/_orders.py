@@ -27,7 +27,7 @@ N_SHOWN = 6
 NO_ORDER = np.int32(model.NO_ORDER)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", inline="always")
 def _same_class(x, y, phase, order, phase2, class2, class_of_order, first_order):  # type: ignore[no-untyped-def]
     """Tell whether a neighbour of (x, y) has the class that the absolute phase there demands.
 
@@ -39,14 +39,14 @@ def _same_class(x, y, phase, order, phase2, class2, class_of_order, first_order)
             value = phase2[row + i, col + j]
             if math.isnan(value):
                 continue
-            index = order - first_order + math.floor((phase - value) / TWO_PI + 0.5)
+            index = order - first_order + int(np.floor((phase - value) * (1 / TWO_PI) + 0.5))
             on_projector = 0 <= index < len(class_of_order)
             if on_projector and class2[row + i, col + j] == class_of_order[index]:
                 return True
     return False
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", inline="always")
 def _show(point, i, order, period, first, shown):  # type: ignore[no-untyped-def]
     """Write what C2 shows of a candidate; the difference is NaN where it sees nothing, or another
     class of orders."""
@@ -182,7 +182,7 @@ def weigh(shown, pixels, bias, scatter, most_sigma, costs):  # type: ignore[no-u
             gx, gy = shown[i, a, GRADIENT_X], shown[i, a, GRADIENT_Y]
             expected = gx * (still_x + rise_x * t) + gy * (still_y + rise_y * t)
             residual = shown[i, a, DIFFERENCE] - expected
-            residual -= math.floor(residual + 0.5)
+            residual -= np.floor(residual + 0.5)
             variance = shown[i, a, VARIANCE] + (gx * gx + gy * gy) * scatter * scatter
             fits = variance < most_sigma * most_sigma
             costs[i, a] = residual * residual / variance if fits else np.nan

@@ -13,10 +13,10 @@ MAX_JUMP = 2.0
 """rad between neighbouring pixels; more is a depth edge or noise, not a surface."""
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", inline="always")
 def wrap(angle):  # type: ignore[no-untyped-def]
     """Return an angle, rad, as -pi to pi."""
-    return angle - TWO_PI * math.floor(angle / TWO_PI + 0.5)
+    return angle - TWO_PI * np.floor(angle * (1 / TWO_PI) + 0.5)
 
 
 @njit(cache=True, error_model="numpy")
@@ -55,7 +55,7 @@ def phase_difference(x, y, phase1, phase2):  # type: ignore[no-untyped-def]
     return wrap(origin + value - phase1), gx, gy
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", inline="always")
 def largest_sigma(x, y, phase, sigma):  # type: ignore[no-untyped-def]
     """Return the largest standard deviation of the four neighbours that have a phase."""
     row, col = int(y), int(x)

@@ -52,7 +52,7 @@ def lens_vector(focal, center, distortion):  # type: ignore[no-untyped-def]
     return lens
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", inline="always")
 def distort(x, y, lens):  # type: ignore[no-untyped-def]
     """Map undistorted to distorted normalised coordinates (before the tilt), with Jacobian."""
     k1, k2, p1, p2, k3, k4, k5, k6 = (
@@ -76,7 +76,7 @@ def distort(x, y, lens):  # type: ignore[no-untyped-def]
     return xd, yd, jxx, jxy, jyx, jyy
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", inline="always")
 def project_normalized(x, y, lens):  # type: ignore[no-untyped-def]
     """Map undistorted normalised coordinates to a pixel (x, y)."""
     xd, yd, _, _, _, _ = distort(x, y, lens)
@@ -157,7 +157,7 @@ def normalize_pixel(u, v, lens, safe):  # type: ignore[no-untyped-def]
     return x, y
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True, parallel=True, error_model="numpy")
 def project_all(points, lens, pixels):  # type: ignore[no-untyped-def]
     """Project (n, 3) points of the device frame; NaN behind the device."""
     for i in prange(len(points)):
