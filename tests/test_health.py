@@ -11,6 +11,7 @@ import pytest
 from changed_rigs import turned
 from closed_form import Recording, SphereScene, record_scene
 from fringe3d.errors import CalibrationError, MethodError
+from fringe3d.health._correlate import profile
 from fringe3d.model import Fringe, ImageStack, PatternPlan, Rig, Scan
 from fringe3d.options import Method
 from fringe3d.pipeline import Measurement, MeasureOptions, measure
@@ -167,3 +168,26 @@ def test_ripple_with_three_steps_is_the_second_harmonic(rig: Rig) -> None:
     """
     scan, _ = record_scene(rig, SphereScene(gamma=2.0), seed=5, n_shifts=3)
     assert figure(measure(scan), "c1_x_16px_ripple_rad") == pytest.approx(0.25, rel=0.12)
+
+
+def test_correlation_over_a_shift_equals_numpys() -> None:
+    rng = np.random.default_rng(3)
+    texture = rng.standard_normal((60, 80))
+    texture[rng.random((60, 80)) < 0.1] = np.nan
+    pixels = rng.uniform(-5, 85, (900, 2))
+    pixels[::50] = np.nan
+    values = rng.standard_normal(900)
+    values[5::70] = np.nan
+    normal, shifts = np.array([0.6, 0.8]), np.arange(-40, 41, 4)
+    found = np.empty(len(shifts))
+    profile(values, pixels, texture, normal, shifts, 300, found)
+    for k, shift in enumerate(shifts):
+        col, row = np.rint(np.nan_to_num(pixels + shift * normal, nan=-9)).astype(int).T
+        inside = (row >= 0) & (row < 60) & (col >= 0) & (col < 80)
+        row, col = np.where(inside, row, 0), np.where(inside, col, 0)
+        other = np.where(inside, texture[row, col], np.nan)
+        both = np.isfinite(values + other)
+        expected = np.corrcoef(values[both], other[both])[0, 1] if both.sum() >= 300 else 0.0
+        assert found[k] == pytest.approx(expected, abs=1e-12)
+    assert (found == 0).any()
+    assert (found != 0).any()

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from fringe3d.geometry import epipolar_curve, epipolar_segment, pixel_grid
+from fringe3d.health import _correlate
 from fringe3d.health.finding import Finding
 from fringe3d.model import Correspondences, Device, PhaseMap
 
@@ -19,6 +20,9 @@ MAX_WRONG_TILES = 0.25
 """Part of the telling tiles that may lie elsewhere by chance or by repeating texture."""
 
 FAR_MM = 1e5
+
+SMOOTH_PX = 16
+"""Three running means of this width are a Gaussian of 8 px."""
 
 TEXTURE_REACH = 5
 """Shifts up to this part of the image are tried."""
@@ -129,9 +133,8 @@ def texture_tiles(
             continue
         thin = slice(None, None, max(1, len(rows) // TILE_SAMPLE))
         values, pixels = texture1[rows[thin], cols[thin]], matches.pixels[rows[thin], cols[thin]]
-        profile = np.array(
-            [_correlation(values, _sample(texture2, pixels + shift * normal)) for shift in shifts]
-        )
+        profile = np.empty(len(shifts))
+        _correlate.profile(values, pixels, texture2, normal, shifts, MIN_TILE_POINTS // 2, profile)
         peak = int(np.argmax(profile))
         tiles.append(
             TextureTile(float(profile[near].max()), float(profile[peak]), int(shifts[peak]))
@@ -143,14 +146,21 @@ def _texture(phases: PhaseMap) -> NDArray[np.float64]:
     """Return the local contrast of the surface: brightness without its slow changes."""
     lit = phases.rejection == 0
     bright = np.where(lit, np.log(np.maximum(phases.offset, 1.0)), 0.0)
-    weight = ndimage.gaussian_filter(lit.astype(np.float64), 8.0)
+    weight = _blurred(lit.astype(np.float64))
     with np.errstate(invalid="ignore", divide="ignore"):
-        smooth = ndimage.gaussian_filter(bright, 8.0) / weight
+        smooth = _blurred(bright) / weight
     fine = ndimage.gaussian_filter(bright, 1.0) / np.maximum(
         ndimage.gaussian_filter(lit.astype(np.float64), 1.0), 1e-9
     )
     inner = ndimage.binary_erosion(lit, iterations=3)
     return np.where(inner, fine - smooth, np.nan)
+
+
+def _blurred(image: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the image without its fine structure."""
+    for _ in range(3):
+        image = ndimage.uniform_filter(image, SMOOTH_PX)
+    return image
 
 
 def _across_epipolar(c1: Device, c2: Device, matches: Correspondences) -> NDArray[np.float64]:
@@ -164,19 +174,3 @@ def _across_epipolar(c1: Device, c2: Device, matches: Correspondences) -> NDArra
     tangent = curve[1] - curve[0]
     normal: NDArray[np.float64] = np.array([-tangent[1], tangent[0]]) / np.linalg.norm(tangent)
     return normal if normal[1] >= 0 else -normal
-
-
-def _sample(texture: NDArray[np.float64], pixels: NDArray[np.float64]) -> NDArray[np.float64]:
-    col, row = np.rint(np.nan_to_num(pixels, nan=-1)).astype(int).T
-    inside = (row >= 0) & (row < texture.shape[0]) & (col >= 0) & (col < texture.shape[1])
-    values = np.full(len(pixels), np.nan)
-    values[inside] = texture[row[inside], col[inside]]
-    return values
-
-
-def _correlation(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
-    both = np.isfinite(a) & np.isfinite(b)
-    if both.sum() < MIN_TILE_POINTS // 2:
-        return 0.0
-    x, y = a[both] - a[both].mean(), b[both] - b[both].mean()
-    return float((x @ y) / max(np.sqrt((x @ x) * (y @ y)), 1e-30))
