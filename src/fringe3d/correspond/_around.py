@@ -11,11 +11,14 @@ from fringe3d.correspond._curves import pixel
 
 
 @njit(cache=True, parallel=True, error_model="numpy")
-def count(depths, along, camera2, turns1, decided2, apart, strict, n_certain, n_agree):  # type: ignore[no-untyped-def]
+def count(  # type: ignore[no-untyped-def]
+    depths, along, camera2, turns1, is_alone, decided2, apart, strict, n_certain, n_agree
+):
     """Count the pixels of C2, of the nine around a point, that are certain, and that agree.
 
     depths (n,): mm; along (n, 3): the rays in the frame of C2; camera2 = (base (3,), lens); turns1
-    (n,): absolute phase, periods; decided2 = (turns2, certain2), (row, col): what C2 decided, NaN
+    (n,): absolute phase, periods; is_alone (n,): of certain pixels only that counts which sees the
+    point; decided2 = (turns2, certain2), (row, col): what C2 decided, NaN
     for nothing; apart: periods between what agrees. If strict, only those count that are certain.
     """
     base, lens = camera2
@@ -30,6 +33,7 @@ def count(depths, along, camera2, turns1, decided2, apart, strict, n_certain, n_
         for near_row in range(max(row - 1, 0), min(row + 2, n_rows)):
             for near_col in range(max(col - 1, 0), min(col + 2, n_cols)):
                 certain = certain2[near_row, near_col]
-                n_certain[i] += certain
+                sees = near_row == row and near_col == col
+                n_certain[i] += certain and (sees or not is_alone[i])
                 if abs(turns2[near_row, near_col] - turns1[i]) < apart and (certain or not strict):
                     n_agree[i] += 1

@@ -68,7 +68,9 @@ def agrees_with_c2(
 
     A point that something hides from C2 fits what C2 sees there by chance. One pixel around it
     that agrees is enough, and so is that none is certain of its order; if strict, one that is
-    certain must agree.
+    certain must agree. Of several candidates one is likelier to fit by chance: where there is one
+    alone in the volume, only the pixel that sees the point can refute it. C2 sees many a steep wall
+    one pixel wide, between surfaces of other orders.
     """
     camera2, phases2 = task.views.camera2, task.views.phases2
     turns1 = chosen.order + task.first[0] / TWO_PI
@@ -79,9 +81,10 @@ def agrees_with_c2(
         decided, chosen_back.order + phases2.phase[back.valid] / TWO_PI, np.nan
     )
     certain2[back.valid] = certain
+    is_alone = task.listed.is_inside.sum(axis=1) < 2
     n_certain, n_agree = np.empty(len(turns1), np.int8), np.empty(len(turns1), np.int8)
     _around.count(
-        chosen.depth_mm, task.along_2, task.camera2, turns1, (turns2, certain2), SAME_ORDER, strict,
-        n_certain, n_agree,
+        chosen.depth_mm, task.along_2, task.camera2, turns1, is_alone, (turns2, certain2),
+        SAME_ORDER, strict, n_certain, n_agree,
     )  # fmt: skip
     return np.asarray((n_agree > 0) | ((n_certain == 0) & (not strict)))

@@ -157,7 +157,7 @@ def _chosen(
     min_probability: float,
 ) -> ChosenOrders:
     phases1, valid = task.views.phases1, task.valid
-    fits = chosen.cost <= task.limit
+    fits = chosen.is_seen & ~(chosen.cost > task.limit)
     certain = np.where(chosen.is_inside, chosen.probability, chosen.outside) >= min_probability
     rejection = np.zeros(valid.shape, np.uint16)
     for where, reason in (

@@ -150,6 +150,11 @@ class Choice:
         return self._at(self.candidates.extras).astype(np.float64)
 
     @property
+    def is_seen(self) -> NDArray[np.bool_]:
+        """Tell whether C2 sees a point there, (n,); its phase may be too uncertain to judge."""
+        return np.asarray(np.isfinite(self.shown[:, _orders.DIFFERENCE]))
+
+    @property
     def depth_mm(self) -> NDArray[np.float64]:
         """Return the distance along the ray, (n,)."""
         return self._at(self.candidates.shown[..., _orders.DEPTH]).astype(np.float64)
