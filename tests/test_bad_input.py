@@ -992,16 +992,6 @@ PATTERNS = [
             r"expected a period below 48 px .*found 48",
         ),
         (
-            "patterns of periods that repeat together",
-            ("--size", "1024x768", "--period", "16", "--period", "32", "--gray", "none"),
-            r"fringes of 16, 32 px look alike again after 32 px; .* all 1024 px .*Add a code",
-        ),
-        (
-            "patterns of periods whose beat is too short",
-            ("--size", "1024x768", "--period", "16", "--period", "17", "--gray", "none"),
-            r"fringes of 16, 17 px look alike again after 272 px; .* all 1024 px .*Add a code",
-        ),
-        (
             "patterns of an angle and a direction",
             ("--size", "64x48", "--period", "8", "--angle", "30", "--direction", "x"),
             r"--angle, --direction: expected one of them, found 30 and x\. Leave one out",

@@ -119,6 +119,7 @@ def test_the_recommendation_stands_first(assessed: Assessment) -> None:
     text = "\n".join(said)
     assert "up to 40 % of a segment beyond the volume, take 3 bits: 8 images." in text
     assert "Fringes alone (4 images) do not suffice pixel by pixel" in text
+    assert "M6, which decides by all pixels together, does with the same images where" in text
     assert "saves 1 image" in "\n".join(findings(assessed))
     lines = summary(assessed, name="small").splitlines()
     assert lines[0].startswith("small: 7 images: 4 phase steps and a reduced Gray code")

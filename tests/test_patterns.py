@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+import re
 from pathlib import Path
 
 import cv2
@@ -23,8 +24,8 @@ from fringe3d.patterns import (
     extent_px,
     full_gray_bits,
     intensity,
+    numbering,
     pattern_image,
-    require_numbered,
     sequence,
     unambiguous_px,
 )
@@ -381,7 +382,7 @@ class TestUnambiguousRange:
         assert 0 < found <= extent
 
     @pytest.mark.parametrize(
-        ("periods_px", "gray", "accepted"),
+        ("periods_px", "gray", "numbered"),
         [
             ((16.0,), "none", True),
             ((16.0, 32.0), "none", False),
@@ -392,23 +393,21 @@ class TestUnambiguousRange:
             ((16.0, 17.0), "none", False),
         ],
     )
-    def test_several_periods_must_number_the_projector_unless_a_code_does(
-        self, periods_px: tuple[float, ...], gray: str, accepted: bool
+    def test_periods_that_do_not_number_the_projector_are_for_m6(
+        self, periods_px: tuple[float, ...], gray: str, numbered: bool
     ) -> None:
         plan = sequence((768, 1024), periods_px=periods_px, n_shifts=3, gray=gray)
-        if accepted:
-            require_numbered(plan)
-            return
-        with pytest.raises(ValueError, match=r"look alike again after .* all 1024 px"):
-            require_numbered(plan)
+        said = numbering(plan)
+        assert len(said) == (0 if numbered else 1)
+        for text in said:
+            assert re.search(r"look alike again after \d+ px of 1024\. Method m6 can use", text)
 
     def test_each_direction_is_judged_by_its_own_width(self) -> None:
         angles = (0.0, math.pi / 2)
         plan = sequence((260, 280), periods_px=(16.0, 17.0), n_shifts=3, gray="none", angles=angles)
-        with pytest.raises(ValueError, match=r"after 272 px; .* all 280 px"):
-            require_numbered(plan)
-        require_numbered(sequence((260, 280), periods_px=(16.0, 17.0), n_shifts=3, gray="none",
-                                  angles=angles[1:]))  # fmt: skip
+        assert [text[:60] for text in numbering(plan)] == [
+            "fringes of 16, 17 px look alike again after 272 px of 280. M"
+        ]
 
 
 def assert_same_patterns(expected: PatternPlan, found: PatternPlan) -> None:

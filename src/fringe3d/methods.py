@@ -26,6 +26,7 @@ import numpy as np
 
 from fringe3d.decode import has_mirrored_neighbours
 from fringe3d.decode.order import order_table
+from fringe3d.decode.periods import EXACTLY_ALIKE
 from fringe3d.design.gray import BEYOND
 from fringe3d.errors import MethodError
 from fringe3d.model import (
@@ -38,8 +39,8 @@ from fringe3d.model import (
     Rig,
     Uniform,
 )
-from fringe3d.options import MeasureOptions
-from fringe3d.patterns import extent_px
+from fringe3d.options import MeasureOptions, volume_of
+from fringe3d.patterns import extent_px, unambiguous_px
 from fringe3d.segments import MOST_TWINS, segments_in_projector, told_apart, too_long
 
 FRINGES_ALONE = ("m3", "m4", "m5")
@@ -81,13 +82,40 @@ def choose_method(
         _require("projector", rig, stacks, two_cameras)
         return Choice("projector", "one camera and the calibrated projector")
     plan = stacks[0].plan
-    if not plan.fringe_sets or plan.gray_sets or len({f.period_px for f in plan.fringe_sets}) > 1:
+    if not plan.fringe_sets or plan.gray_sets:
         return Choice("m1", "two cameras and a code")
+    if len({f.period_px for f in plan.fringe_sets}) > 1:
+        return _of_several_periods(plan, rig, options, stacks[0].device_name)
     if len(plan.angles) > 1:
         return Choice("m4", "two cameras, no code, fringes of two directions")
     if rig.projector is None:
         return Choice("m5", "two cameras, fringes alone, no calibrated projector")
     return Choice("m6", "two cameras, no code, fringes of one direction")
+
+
+def _of_several_periods(
+    plan: PatternPlan, rig: Rig, options: MeasureOptions, camera_name: str
+) -> Choice:
+    """Return what to do with several periods and no code.
+
+    They number the periods of the finest one as far as they do not look alike again: enough for a
+    segment (M1, which `settle` calls M2 if they do not number all), or M6 must weigh them.
+    """
+    volume = volume_of(rig, camera_name, options)
+    m1 = Choice("m1", "two cameras and fringes of several periods")
+    if plan.projector_shape is None or rig.projector is None or volume is None:
+        return m1
+    for angle in plan.angles:
+        periods = [f.period_px for f in plan.fringe_sets if f.angle == angle]
+        low, high = extent_px(plan.projector_shape, angle)
+        numbered = unambiguous_px(periods, high - low)
+        exactly = unambiguous_px(periods, high - low, alike=EXACTLY_ALIKE)
+        segments = segments_in_projector(rig, volume, period_px=min(periods), angle=angle)
+        too_few = segments.twins(round(numbered / min(periods))) > MOST_TWINS
+        if numbered < high - low and (too_few or numbered < exactly):
+            listed = ", ".join(f"{period:g}" for period in sorted(periods))
+            return Choice("m6", f"fringes of {listed} px look alike again after {numbered:g} px")
+    return m1
 
 
 def _require(method: str, rig: Rig, stacks: Sequence[ImageStack], two_cameras: bool) -> None:
@@ -233,6 +261,9 @@ def settle(
         return Choice("m5", "no code, and hardly a segment in the projector exceeds a period")
     if has_mirrored_neighbours(main):
         return choice  # where in the period the code is ambiguous differs: C2 decides
+    if choice.method == "m2" and not asked and twins > MOST_TWINS:
+        return Choice("m6", f"{choice.why}, but up to {segments.needs.max_periods:.1f} lie on a "
+                      "segment: too few for M2")  # fmt: skip
     if choice.method in ("m2", "m5") and twins > MOST_TWINS:
         raise MethodError(too_long(choice.method, segments, main))
     return choice

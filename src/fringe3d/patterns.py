@@ -249,32 +249,39 @@ def _require_useful(
     )
 
 
-def require_numbered(plan: PatternPlan, /) -> None:
-    """Refuse a plan whose several periods number only a part of the projector, without a code.
+def numbering(plan: PatternPlan, /) -> list[str]:
+    """Say where several periods without a code number only a part of the projector.
 
     A single period without a code is left alone: depth range and geometry may do without.
 
-    Raises
-    ------
-    ValueError
-        With the range that the periods number.
+    Returns
+    -------
+    list of str; one sentence for each direction: the range, and which methods can use it
+
+    Examples
+    --------
+    >>> numbering(sequence((768, 1024), periods_px=(16, 17), n_shifts=4, gray="none"))[0][:53]
+    'fringes of 16, 17 px look alike again after 272 px of'
     """
     if plan.projector_shape is None:
-        return
-    coded = {code.angle for code in plan.gray_sets}
+        return []
+    coded, said = {code.angle for code in plan.gray_sets}, []
     for angle in plan.angles:
         periods = [f.period_px for f in plan.fringe_sets if f.angle == angle]
         low, high = extent_px(plan.projector_shape, angle)
         if angle in coded or len(periods) < 2:
             continue
         numbered = unambiguous_px(periods, high - low)
+        listed = ", ".join(f"{period:g}" for period in periods)
         if numbered < high - low:
-            listed = ", ".join(f"{period:g}" for period in periods)
-            raise ValueError(
-                f"plan: fringes of {listed} px look alike again after {numbered:g} px; expected "
-                f"them to number all {high - low:g} px of the projector across the fringes. Add a "
-                "code (gray plain or complementary), or another period in between"
+            said.append(
+                f"fringes of {listed} px look alike again after {numbered:g} px of "
+                f"{high - low:g}. Method m6 can use them: it needs two cameras, the "
+                "calibrated projector and the measuring volume. m2 can where no segment in the "
+                "projector is longer than that (fringe3d design). All else needs a code (--gray "
+                "plain or complementary), or another period in between"
             )
+    return said
 
 
 def method_plan(

@@ -145,6 +145,8 @@ def too_long(method: str, segments: Segments, phases: PhaseMap, /) -> str:
     n, needs = told_apart(phases.class_of_order), segments.needs
     of = "one period" if n == 1 else f"{n} periods (so many the code tells apart)"
     code = ("--method m2 with " if method == "m5" else "") + code_in_words(needs.bits, phases)
+    if segments.camera_period_px is None:
+        code += "; --method m6, which does with what code there is"
     return (
         f"--method {method}: expected segments of up to {of} in '{segments.device.name}', found up "
         f"to {needs.max_periods:.1f} (median {float(np.nanmedian(segments.periods)):.1f}); "

@@ -65,7 +65,7 @@ def patterns(
         Bit depth of the images.
     """
     from fringe3d.io.importing import parse_size
-    from fringe3d.patterns import require_numbered, sequence
+    from fringe3d.patterns import numbering, sequence
     from fringe3d.report.patterns import write_patterns
 
     width, height = parse_size(size, "--size")
@@ -90,11 +90,13 @@ def patterns(
             inverses=inverses,
             light_dark=light_dark,
         )
-        require_numbered(plan)
+        notes = numbering(plan)
     except ValueError as problem:
         raise MethodError(f"{problem}. See fringe3d patterns --help") from None
     write_patterns(out, plan, bit_depth=bits, overwrite=overwrite)
     say(f"{plan.n_images} images of {width} x {height} px, {bits} bit -> {out}")
+    for note in notes:
+        say(f"note: {note}")
 
 
 @app.command

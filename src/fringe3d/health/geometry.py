@@ -258,9 +258,11 @@ def check_ambiguity(matches: Correspondences, phases: PhaseMap, /) -> list[Findi
     text += (
         ": without a code this rig does not tell the fringe orders apart (fringe3d design shows "
         "the ambiguity margin). Record a reduced Gray code (--method m2) or a second direction "
-        "(--method m4), or give a narrower depth range (--depth MIN:MAX)"
+        "(--method m4), weigh all pixels together (--method m6; calibrated projector), or give a "
+        "narrower depth range (--depth MIN:MAX)"
         if n_classes == 1
         else f": the code tells {n_classes} of {n_orders} periods apart, too few for this depth "
-        "range. Keep more bits, or give a narrower depth range (--depth MIN:MAX)"
+        "range. Keep more bits, weigh all pixels together (--method m6; calibrated projector), or "
+        "give a narrower depth range (--depth MIN:MAX)"
     )
     return [Finding(level, "ambiguous_part", share, text)]

@@ -10,6 +10,11 @@ from fringe3d.design.margin import NEEDED_RATIO
 FLAT = math.radians(25.0)
 """Fringes that cross the epipolar lines at less are said to follow them."""
 
+M6_DOES = (
+    "M6, which decides by all pixels together, does with the same images where the calibration's "
+    "bias is stored in the rig (fringe3d calibrate bias); what it cannot tell it leaves open."
+)
+
 
 def recommendation(a: Assessment, /) -> list[str]:
     """Return how many images the rig needs, and which."""
@@ -111,14 +116,14 @@ def _fringes_alone(margins: AmbiguityMap, steps: int) -> str:
     if not enough[0]:
         return (
             f"Fringes alone ({steps} images) do not suffice pixel by pixel: C2 cannot tell some "
-            "wrong order even on surfaces that face the rig. See --optimise."
+            f"wrong order even on surfaces that face the rig. See --optimise. {M6_DOES}"
         )
     # Surfaces up to a steeper slope include those up to a flatter one.
     slope = math.degrees(float(margins.slopes[enough][-1]))
     text = (
         f"Fringes alone suffice ({steps} images, M3) on surfaces that slope up to {slope:.0f} deg"
     )
-    return f"{text}." if enough.all() else f"{text}, not on steeper ones. See --optimise."
+    return f"{text}." if enough.all() else f"{text}, not on steeper ones. See --optimise. {M6_DOES}"
 
 
 def patterns_command(a: Assessment, /) -> str:
