@@ -92,7 +92,7 @@ EDGE_LIBRARIES = {
     "matplotlib": {"report"},
     "rich": {"cli"},
     "cyclopts": {"cli"},
-    "numba": {"geometry", "decode", "correspond", "simulate"},
+    "numba": {"geometry", "decode", "correspond", "health", "simulate"},
 }
 
 FILES = sorted(SOURCE.rglob("*.py"))

@@ -13,6 +13,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import minimize
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 from scipy.spatial.transform import Rotation
 
 from changed_rigs import moved_device, moved_volume
@@ -31,6 +33,7 @@ from fringe3d.geometry import (
     triangulation_angle,
     unproject,
 )
+from fringe3d.geometry.components import connected
 from fringe3d.io.rigfile import read_rig, rig_text
 from fringe3d.model import Device, MeasuringVolume, Rig, RigidTransform
 
@@ -694,3 +697,11 @@ class TestRigFile:
         kind, again = self.again(Rig(cameras=(camera(),), volume=volume), tmp_path)
         assert kind == "half_spaces"
         np.testing.assert_allclose(volume.offsets_mm, again.offsets_mm, atol=1e-12)
+
+
+@pytest.mark.parametrize("n_edges", [0, 30, 120])
+def test_connected_parts_are_those_of_scipy(n_edges: int) -> None:
+    start, end = np.random.default_rng(n_edges).integers(0, 100, (2, n_edges))
+    graph = coo_array((np.ones(n_edges), (start, end)), shape=(100, 100))
+    expected = connected_components(graph, directed=False)[1]
+    np.testing.assert_array_equal(connected(start, end, 100), expected)

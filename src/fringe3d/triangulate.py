@@ -8,10 +8,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from fringe3d.geometry import closest_depths, pixel_grid, project, rays
+from fringe3d.geometry.components import connected
 from fringe3d.model import Correspondences, Device, MeasuringVolume, PointMap, Rejection
 from fringe3d.model.rejection import reject
 
@@ -123,8 +122,7 @@ def remove_isolated(
         joined = gap <= max_gap_mm
         pairs.append(np.stack([number[here][joined], number[there][joined]]))
     start, end = np.concatenate(pairs, axis=1)
-    graph = coo_array((np.ones(len(start), bool), (start, end)), shape=(len(index), len(index)))
-    _, labels = connected_components(graph, directed=False)
+    labels = connected(start, end, len(index))
     small = np.zeros(points.rejection.size, bool)
     small[index] = np.bincount(labels)[labels] < min_pixels
     return _without(points, small.reshape(points.rejection.shape), Rejection.ISOLATED)

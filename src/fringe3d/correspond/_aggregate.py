@@ -38,6 +38,9 @@ FAR = np.uint16(20_000)
 
 FAR_ENERGY = np.uint16(2**16 - 1)
 
+MOST_APART = 40
+"""Half squared deviations; what is worse by more has no weight."""
+
 WAYS = ((0, 1), (1, 0), (1, 1), (1, -1))
 """(rows, columns) from a pixel to its neighbour; four more lead back."""
 
@@ -180,8 +183,10 @@ def choose(energy, is_label, is_inside, outside_cost, place, probability, outsid
                 best, least = a, value
         total, beyond = 0.0, 0.0
         for a in range(is_inside.shape[1]):
-            if is_label[i, a]:
-                value = energy[i, a] + (0 if is_inside[i, a] else outside_cost)
+            if not is_label[i, a]:
+                continue
+            value = energy[i, a] + (0 if is_inside[i, a] else outside_cost)
+            if value - least < MOST_APART * UNIT:
                 weight = math.exp((least - value) / UNIT)
                 total += weight
                 beyond += 0.0 if is_inside[i, a] else weight

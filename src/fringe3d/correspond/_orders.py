@@ -188,6 +188,24 @@ def weigh(shown, pixels, bias, scatter, most_sigma, costs):  # type: ignore[no-u
             costs[i, a] = residual * residual / variance if fits else np.nan
 
 
+@njit(cache=True, parallel=True, error_model="numpy")
+def expect(shown, pixels, bias, scatter, expected, spread, sigma):  # type: ignore[no-untyped-def]
+    """Write what the bias lets expect of the residuals of chosen candidates, (n,) turns: the
+    residual, what the bias leaves unexplained, and the standard deviation in all.
+
+    shown (n, N_SHOWN); the rest as `weigh` takes it.
+    """
+    c, middle, scale = bias
+    for i in prange(len(shown)):
+        u, v = (pixels[i, 0] - middle[0]) / scale[0], (pixels[i, 1] - middle[1]) / scale[1]
+        t = (shown[i, DEPTH] - middle[2]) / scale[2]
+        gx, gy = np.float64(shown[i, GRADIENT_X]), np.float64(shown[i, GRADIENT_Y])
+        moved_x = _still(u, v, c[0]) + _rise(u, v, c[0]) * t
+        expected[i] = gx * moved_x + gy * (_still(u, v, c[1]) + _rise(u, v, c[1]) * t)
+        spread[i] = scatter * math.sqrt(gx * gx + gy * gy)
+        sigma[i] = math.sqrt(shown[i, VARIANCE] + spread[i] * spread[i])
+
+
 @njit(cache=True, error_model="numpy")
 def _still(u, v, c):  # type: ignore[no-untyped-def]
     """Return a displacement in the middle of the depths, px."""

@@ -174,11 +174,10 @@ def _chosen(
     ).rejecting(rejection)
     difference, ratio = chosen.shown[:, DIFFERENCE], chosen.shown[:, RATIO]
     # C2 may see the phase change many times as fast as the projector: a period there must do.
-    sigma = task.sigma(chosen, bias)
+    expected, spread, sigma = task.expected(chosen, bias)
     seen = np.clip(np.abs(difference) + 4 * sigma, *SEARCH_TURNS)
     window = np.minimum(seen / np.maximum(np.abs(ratio), LEAST_RATIO), 0.5)
     rate = np.where(np.abs(ratio) > LEAST_PLACING_RATIO, ratio, np.nan)
-    expected, spread = task.expected(chosen, bias)
     noise = task.first[1] / TWO_PI
     probability, residual, sigma, place, place_sigma = (
         np.where(phases.rejection == 0, _spread(values, valid, fill=np.nan), np.nan)

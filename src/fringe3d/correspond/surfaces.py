@@ -12,6 +12,7 @@ from scipy.sparse.csgraph import breadth_first_order, connected_components, mini
 
 from fringe3d.correspond.bias import PATCH_PX
 from fringe3d.correspond.weighing import CLEAR, LARGEST_EXTRA, Choice, Task
+from fringe3d.geometry.components import connected
 from fringe3d.model import NO_ORDER
 
 Bools = NDArray[np.bool_]
@@ -72,9 +73,7 @@ def surfaces(
             joined &= _rise(task, axis)[1]
         pairs.append(np.stack([number[here][joined], number[there][joined]]))
     start, end = np.concatenate(pairs, axis=1)
-    n = int(claims.sum())
-    graph = coo_array((np.ones(len(start), bool), (start, end)), shape=(n, n))
-    return np.asarray(connected_components(graph, directed=False)[1], np.intp)
+    return connected(start, end, int(claims.sum()))
 
 
 def made_whole(task: Task, chosen: Choice, /, *, doubts: bool = True) -> Choice:

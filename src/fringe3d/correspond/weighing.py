@@ -105,7 +105,7 @@ class Candidates:
         return hits.argmax(axis=1), hits.any(axis=1)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Choice:
     """Which candidate is chosen for each valid pixel.
 
@@ -124,40 +124,40 @@ class Choice:
     probability: NDArray[np.float64]
     outside: NDArray[np.float64]
 
-    @property
+    @cached_property
     def order(self) -> NDArray[np.int32]:
         """Return the chosen orders, (n,)."""
         return self._at(self.candidates.orders)
 
-    @property
+    @cached_property
     def cost(self) -> NDArray[np.float64]:
         """Return what C2 has against them, (n,); NaN where it does not see the point."""
         return self._at(self.costs).astype(np.float64)
 
-    @property
+    @cached_property
     def is_inside(self) -> NDArray[np.bool_]:
         """Tell whether the points lie in the volume, (n,)."""
         return self._at(self.candidates.is_inside)
 
-    @property
+    @cached_property
     def shown(self) -> NDArray[np.float32]:
         """Return what C2 shows of them, (n, N_SHOWN) as in `_orders`."""
         return self._at(self.candidates.shown)
 
-    @property
+    @cached_property
     def extra(self) -> NDArray[np.float64]:
         """Return what all else has against them, (n,) squared deviations."""
         return self._at(self.candidates.extras).astype(np.float64)
 
-    @property
+    @cached_property
     def is_seen(self) -> NDArray[np.bool_]:
         """Tell whether C2 sees a point there, (n,); its phase may be too uncertain to judge."""
         return np.asarray(np.isfinite(self.shown[:, _orders.DIFFERENCE]))
 
-    @property
+    @cached_property
     def depth_mm(self) -> NDArray[np.float64]:
         """Return the distance along the ray, (n,)."""
-        return self._at(self.candidates.shown[..., _orders.DEPTH]).astype(np.float64)
+        return self.shown[:, _orders.DEPTH].astype(np.float64)
 
     def _at(self, table: NDArray[Any]) -> NDArray[Any]:
         return np.asarray(table[np.arange(len(self.place)), self.place])
@@ -313,19 +313,16 @@ class Task:
             outside=outside,
         )
 
-    def sigma(self, chosen: Choice, bias: CalibrationBias) -> NDArray[np.float64]:
-        """Return the standard deviation of the chosen orders' residuals, (n,), turns."""
-        _, scatter = self.expected(chosen, bias)
-        return np.asarray(np.sqrt(chosen.shown[:, _orders.VARIANCE] + scatter**2))
-
     def expected(
         self, chosen: Choice, bias: CalibrationBias
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return the residuals that the bias lets expect, and its scatter, (n,) each, turns."""
-        gradient = chosen.shown[:, [_orders.GRADIENT_X, _orders.GRADIENT_Y]].astype(np.float64)
-        moved = bias.displacement(self.pixels, chosen.depth_mm)
-        scatter = bias.scatter_px * np.linalg.norm(gradient, axis=1)
-        return (gradient * moved).sum(axis=1), scatter
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+        """Return the residuals that the bias lets expect, its scatter, and the standard deviation
+        of the residuals, (n,) each, turns."""
+        n = len(self.pixels)
+        expected, scatter, sigma = np.empty(n), np.empty(n), np.empty(n)
+        field = bias.coefficients_px, bias.middle, bias.scale
+        _orders.expect(chosen.shown, self.pixels, field, bias.scatter_px, expected, scatter, sigma)
+        return expected, scatter, sigma
 
     def _energy(self, costs: NDArray[np.float32]) -> NDArray[np.uint16]:
         """Return what speaks against each candidate, see `_aggregate`, (n, m or more)."""

@@ -6,15 +6,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fringe3d.geometry._clip import clip_all
-from fringe3d.geometry.projection import normalize, pixel_grid, project, rays
+from fringe3d.geometry._sheets import cross_all
+from fringe3d.geometry.projection import lens_of, normalize, pixel_grid, project, rays
 from fringe3d.model import Device, MeasuringVolume
 
 FRUSTUM_SAMPLES = 257
 """Samples along each image border; they miss less than 0.001 px of the bulge of a strongly
 distorted border."""
-
-SHEET_ITERATIONS = 12
-SHEET_TOLERANCE_PX = 1e-7
 
 
 def frustum(device: Device, /) -> MeasuringVolume:
@@ -149,31 +147,14 @@ def sheet_crossing(
     The pinhole solution ``t = (a - c w) / (e w - b)`` starts a Newton iteration on the exact
     model. Its derivative is taken by a central difference of 1e-4 of the distance.
     """
-    axis = np.array([np.cos(angle), np.sin(angle)])
-    half = 0.5 * axis.sum()
-    base = projector.device_from_world.apply(origin)
-    along = projector.device_from_world.rotate(directions)
-    scale = axis * projector.focal_px
-    target = position_px - half - axis @ projector.center_px
-    with np.errstate(divide="ignore", invalid="ignore"):
-        t = (base[:2] @ scale - base[2] * target) / (along[:, 2] * target - along[:, :2] @ scale)
-    t = np.where(np.isfinite(t), t, np.nan)  # infinite where the ray is parallel to the sheet
-
-    def position(t: NDArray[np.float64]) -> NDArray[np.float64]:
-        return np.asarray(project(projector, origin + t[:, None] * directions) @ axis + half)
-
-    error = np.full_like(t, np.inf)
-    for _ in range(SHEET_ITERATIONS):
-        error = position(t) - position_px
-        if not (np.abs(error) > SHEET_TOLERANCE_PX).any():
-            break
-        step = 1e-4 * np.abs(t)
-        slope = (position(t + step) - position(t - step)) / (2 * step)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            t = t - error / slope
-        t = np.where(np.isfinite(t), t, np.nan)
-    met = (np.abs(error) <= 1e-4) & (t > 0)
-    return np.asarray(np.where(met, t, np.nan))
+    to_projector = projector.device_from_world
+    depths = np.empty(len(directions))
+    cross_all(
+        to_projector.apply(origin), to_projector.rotation, np.ascontiguousarray(directions),
+        np.ascontiguousarray(position_px, np.float64), lens_of(projector),
+        np.array([np.cos(angle), np.sin(angle)]), depths,
+    )  # fmt: skip
+    return depths
 
 
 def closest_depths(
