@@ -13,7 +13,7 @@ from closed_form import demo_rig
 from closed_phases import Surface, phase_map, small_rig
 from cv_lens import cv_project, cv_rays
 from fringe3d.correspond import Task, TwoViews
-from fringe3d.correspond._orders import weigh
+from fringe3d.correspond._orders import expect, weigh
 from fringe3d.correspond.bias import Evidence, Frame, frame_of, joined, learn_bias
 from fringe3d.correspond.both_ways import swapped, swapped_bias
 from fringe3d.model import CalibrationBias, Device, Rig
@@ -355,6 +355,24 @@ def test_candidates_are_weighed_as_the_formula_says(scatter: float) -> None:
         less[left_out] = 0
         weigh(shown, pixels, (less, middle, scale), scatter, 1 / 12, costs)
         assert np.abs(costs[known] - expected[known]).max() > 1
+
+
+def test_expected_residuals_are_the_bias_along_the_gradient() -> None:
+    rng, bias = np.random.default_rng(8), some_bias()
+    n = 300
+    pixels = rng.uniform(0, 1, (n, 2)) * [639, 511]
+    shown = np.empty((n, 6), np.float32)
+    shown[:, 0], shown[:, 2:4] = rng.uniform(320, 350, n), rng.uniform(-0.2, 0.2, (n, 2))
+    shown[:, 4] = rng.uniform(0.005, 0.1, n) ** 2
+    expected, spread, sigma = np.empty(n), np.empty(n), np.empty(n)
+    field = bias.coefficients_px, bias.middle, bias.scale
+    expect(shown, pixels, field, 0.07, expected, spread, sigma)
+    gradient = shown[:, 2:4].astype(np.float64)
+    moved = bias.displacement(pixels, shown[:, 0])
+    np.testing.assert_allclose(expected, (gradient * moved).sum(axis=1), atol=1e-12)
+    scatter = 0.07 * np.linalg.norm(gradient, axis=1)
+    np.testing.assert_allclose(spread, scatter, atol=1e-12)
+    np.testing.assert_allclose(sigma, np.sqrt(shown[:, 4] + scatter**2), atol=1e-12)
 
 
 # --- the other camera's view ---------------------------------------------------------------------
