@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from fringe3d.decode import CameraPhases, decode, wrapped_phase
-from fringe3d.decode._fused import ROWS_AT_ONCE, TILE, arctangent
+from fringe3d.decode._fused import TILE, TILES_AT_ONCE, TWO_PI, ZERO, arctangent
 from fringe3d.decode._mend import nearest_column, nearest_rows
 from fringe3d.decode.gray import code_words
 from fringe3d.decode.noise import NOISE_SAMPLE
@@ -46,14 +46,16 @@ PROJECTOR = (768, 1024)
 
 
 @njit(parallel=True)
-def _arctangents(y, x, result):  # type: ignore[no-untyped-def]
+def _arctangents(y, x, full_turn, result):  # type: ignore[no-untyped-def]
     for i in prange(len(y)):
-        result[i] = arctangent(y[i], x[i])
+        result[i] = arctangent(y[i], x[i], full_turn)
 
 
-def arctangents(y: NDArray[np.float32], x: NDArray[np.float32]) -> NDArray[np.float32]:
+def arctangents(
+    y: NDArray[np.float32], x: NDArray[np.float32], full_turn: np.float32 = ZERO
+) -> NDArray[np.float32]:
     result = np.empty_like(y)
-    _arctangents(y, x, result)
+    _arctangents(y, x, full_turn, result)
     return result
 
 
@@ -77,6 +79,18 @@ def test_arctangent_equals_that_of_numpy_within_its_bound(length: float) -> None
     assert np.abs(expected - found).max() < ARCTANGENT_RAD
     assert found.max() <= np.float32(np.pi)
     assert found.min() >= -np.float32(np.pi)
+
+
+def test_arctangent_of_a_full_turn_starts_at_zero_and_stays_below_two_pi() -> None:
+    """Also so little below zero that float32 makes it a full turn."""
+    angle = np.concatenate([np.linspace(-np.pi, np.pi, 100_003), [-1e-7, -1e-9, -1e-20]])
+    y, x = np.asarray(np.sin(angle), np.float32), np.asarray(np.cos(angle), np.float32)
+    found = arctangents(y, x, TWO_PI)
+    assert found.min() >= 0
+    assert found.max() < TWO_PI
+    expected = np.arctan2(y.astype(np.float64), x.astype(np.float64))
+    turns = (found - expected) / (2 * np.pi)
+    assert np.abs(turns - np.rint(turns)).max() < 1.5 * ARCTANGENT_RAD / (2 * np.pi)
 
 
 def test_arctangent_on_axes_and_diagonals_equals_closed_form() -> None:
@@ -118,7 +132,7 @@ PLANS = {
     ),
 }
 
-SHAPES = [(1, 1), (3, TILE + 5), (2 * ROWS_AT_ONCE + 3, 2 * TILE), (90, 301)]
+SHAPES = [(1, 1), (3, TILE + 5), (TILES_AT_ONCE + 3, 2 * TILE), (90, 301)]
 
 
 def recorded(

@@ -93,7 +93,7 @@ def _continued(maps, meaning, row, col, near_row, near_col):  # type: ignore[no-
 
 @njit(cache=True)
 def _mend_row(maps, meaning, nearest, any_safe, row):  # type: ignore[no-untyped-def]
-    """Decide the unsafe pixels of a row, and count those with another order than their word."""
+    """Decide the unsafe pixels of a row; return how many have another order than their word."""
     n_corrected = 0
     for col in range(maps.order.shape[1]):
         cell = maps.cells[row, col]
@@ -115,12 +115,16 @@ def _mend_row(maps, meaning, nearest, any_safe, row):  # type: ignore[no-untyped
             maps.rejection[row, col] = CONTRADICTS
         elif order != looked_up or (naive != NONE and naive != order):
             n_corrected += 1
-    maps.counts[row, 1] += n_corrected
+    return n_corrected
 
 
 @njit(cache=True, parallel=True)
-def mend_rows(maps, meaning, nearest):  # type: ignore[no-untyped-def]
-    """Decide all unsafe pixels of the maps in place; `nearest` (row, col) int32 is scratch."""
+def mend_rows(maps, meaning, nearest, n_corrected):  # type: ignore[no-untyped-def]
+    """Decide all unsafe pixels of the maps (row, col) in place.
+
+    `n_corrected` (row,) are those with another order than their word; `nearest` (row, col) int32
+    is scratch.
+    """
     n_rows, n_cols = maps.order.shape
     for block in prange((n_cols + COLUMNS_AT_ONCE - 1) // COLUMNS_AT_ONCE):
         left = np.int64(block) * COLUMNS_AT_ONCE
@@ -129,4 +133,4 @@ def mend_rows(maps, meaning, nearest):  # type: ignore[no-untyped-def]
     for col in range(n_cols):
         any_safe |= nearest[0, col] >= 0 and nearest[0, col] < n_rows
     for row in prange(n_rows):
-        _mend_row(maps, meaning, nearest, any_safe, np.int64(row))
+        n_corrected[row] = _mend_row(maps, meaning, nearest, any_safe, np.int64(row))

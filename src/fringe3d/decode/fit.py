@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fringe3d.decode.noise import (
     MIN_MODULATION_OF_RANGE,
+    MIN_STEPS_FOR_HARMONIC,
     estimated_variance,
     harmonic_ratio,
-    typical_variance,
+    usable_sample,
 )
 from fringe3d.errors import MethodError
 from fringe3d.model import ImageStack, WrappedPhaseMap
@@ -42,11 +44,22 @@ class FringeFit:
     lowest_dn: float
 
     def variance(self, offset: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return the variance of a grey value, DN**2, where A (above black) is `offset`."""
+        """Return the variance of a grey value, DN**2, where A (above black) is `offset`.
+
+        Shape (1,) where it is the same everywhere.
+        """
         if self.gain == 0:
-            return np.broadcast_to(np.float32(self.read_variance), offset.shape)
+            return np.full(1, self.read_variance, np.float32)
         light = np.maximum(offset, 0)
         return np.float32(self.read_variance) + np.float32(self.gain) * light
+
+    def phase_std(
+        self, offset: NDArray[np.float32], modulation: NDArray[np.float32]
+    ) -> NDArray[np.float32]:
+        """Return the standard deviation of the phase, rad."""
+        noise = np.float32(self.phase_weight) * np.sqrt(self.variance(offset))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.asarray(noise / modulation, np.float32)
 
 
 def fringe_fit(
@@ -59,7 +72,13 @@ def fringe_fit(
     MethodError
         If the shifts do not determine the phase.
     """
-    solver, weight = _least_squares(fringe_set, stack.device_name)
+    solver, weight = _least_squares(fringe_set.shifts)
+    if not np.isfinite(weight):
+        shifts_deg = np.degrees(fringe_set.shifts).round(3).tolist()
+        raise MethodError(
+            f"camera '{stack.device_name}': the phase needs at least three different steps; the "
+            f"fringes of {fringe_set.period_px:g} px have {shifts_deg} degrees. Keep more steps"
+        )
     if stack.noise is not None:
         read_variance, gain = stack.noise.read_noise_dn**2, stack.noise.gain_dn_per_e
     else:
@@ -70,17 +89,17 @@ def fringe_fit(
     return FringeFit(solver, weight, read_variance, gain, lowest)
 
 
-def _least_squares(fringe_set: FringeSet, device_name: str) -> tuple[NDArray[np.float32], float]:
-    """Return the (3, N) solver of the model and sigma_phase * B / sigma_I."""
-    shifts = np.asarray(fringe_set.shifts)
+@lru_cache(maxsize=32)
+def _least_squares(shifts_rad: tuple[float, ...]) -> tuple[NDArray[np.float32], float]:
+    """Return the (3, N) solver of the model and sigma_phase * B / sigma_I.
+
+    The latter is infinite where the shifts do not determine the phase.
+    """
+    shifts = np.asarray(shifts_rad)
     model = np.stack([np.ones_like(shifts), np.cos(shifts), np.sin(shifts)], axis=1)
-    if len(shifts) < 3 or np.linalg.matrix_rank(model, tol=1e-6) < 3:
-        raise MethodError(
-            f"camera '{device_name}': the phase needs at least three different steps; the fringes "
-            f"of {fringe_set.period_px:g} px have {np.degrees(shifts).round(3).tolist()} degrees. "
-            "Keep more steps"
-        )
     solver = np.linalg.pinv(model)
+    if len(shifts) < 3 or np.linalg.matrix_rank(model, tol=1e-6) < 3:
+        return solver.astype(np.float32), math.inf
     # Averaged over all phases; sqrt(2 / N) for equal steps.
     weight = float(np.sqrt((solver[1:] ** 2).sum() / 2))
     return solver.astype(np.float32), weight
@@ -97,15 +116,20 @@ def wrapped_map(
     modulation: NDArray[np.float32],
     phase_std: NDArray[np.float32],
     rejection: NDArray[np.uint16],
-    n_valid: int,
+    decided: NDArray[np.uint16],
 ) -> WrappedPhaseMap:
-    """Compose the map of one fringe set; add its noise and its second harmonic."""
+    """Compose the map of one fringe set; add its noise and its second harmonic.
+
+    `decided` are reasons that may hold those of a code, too.
+    """
+    sample = usable_sample(decided)
     noise_dn, harmonic = float("nan"), float("nan")
-    if n_valid:
-        variance = fit.variance(offset)
-        typical = typical_variance(variance, rejection) if fit.gain > 0 else fit.read_variance
-        noise_dn = math.sqrt(typical)
-        harmonic = harmonic_ratio(stack, fringe_set, modulation, variance, rejection)
+    if len(sample[0]):
+        variance = fit.variance(offset[sample])
+        noise_dn = math.sqrt(float(np.median(variance)))
+        if len(fringe_set.indices) >= MIN_STEPS_FOR_HARMONIC:
+            light = modulation[sample]
+            harmonic = harmonic_ratio(stack, fringe_set, sample, light, variance)
     return WrappedPhaseMap(
         phase=phase,
         offset=offset,

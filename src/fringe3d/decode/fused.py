@@ -3,16 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fringe3d.decode import _fused, _mend
 from fringe3d.decode.fit import MAX_PHASE_STD, FringeFit, fringe_fit, wrapped_map
 from fringe3d.decode.order import CLEAR_BIT, OrderClasses, OrderTable
-from fringe3d.model import ImageStack, PhaseMap, WrappedPhaseMap
+from fringe3d.model import NO_ORDER, ImageStack, PhaseMap, Rejection, WrappedPhaseMap
+from fringe3d.model.phasemap import deferred
 from fringe3d.model.plan import FringeSet, GraySet
 
 f4, i4, u2 = np.float32, np.int32, np.uint16
+
+LINE_BYTES = 64
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -60,24 +66,38 @@ def decode_set(
     """
     fit = fringe_fit(stack, fringe_set, min_modulation_dn)
     maps = allocated(stack.shape, numbering)
-    fill(maps, stack, fringe_set, fit, numbering, any_fringes)
+    n_corrected = fill(maps, stack, fringe_set, fit, numbering, any_fringes)
     if numbering is not None and numbering.table is not None and len(maps.cells):
-        _decide_edges(maps, numbering.table)
-    n_valid, n_mended = (int(n) for n in maps.counts.sum(axis=0))
+        n_corrected += _decide_edges(maps, numbering.table)
+    phase, rejection = maps.phase, maps.rejection
+    if numbering is not None:
+        phase = deferred(stack.shape, partial(_signed_phase, stack, fringe_set, fit))
+        rejection = deferred(stack.shape, partial(_without_code, maps.rejection))
     wrapped = wrapped_map(
         stack,
         fringe_set,
         fit,
-        phase=maps.wrapped,
+        phase=phase,
         offset=maps.offset,
         modulation=maps.modulation,
-        phase_std=maps.sigma,
-        rejection=maps.reason,
-        n_valid=n_valid,
+        phase_std=deferred(stack.shape, partial(fit.phase_std, maps.offset, maps.modulation)),
+        rejection=rejection,
+        decided=maps.rejection,
     )
     if numbering is None:
         return DecodedSet(wrapped, None)
-    return DecodedSet(wrapped, _phase_map(wrapped, maps, numbering, n_mended))
+    return DecodedSet(wrapped, _phase_map(wrapped, maps, numbering, n_corrected))
+
+
+def _signed_phase(stack: ImageStack, fringe_set: FringeSet, fit: FringeFit) -> NDArray[np.float32]:
+    """Return the phase in (-pi, pi], also where the code contradicts it."""
+    maps = allocated(stack.shape, None)
+    fill(maps, stack, fringe_set, fit)
+    return maps.phase
+
+
+def _without_code(rejection: NDArray[np.uint16]) -> NDArray[np.uint16]:
+    return rejection & ~u2(Rejection.INCONSISTENT_CODE)
 
 
 def fill(
@@ -88,7 +108,7 @@ def fill(
     numbering: Numbering | None = None,
     any_fringes: WrappedPhaseMap | None = None,
     /,
-) -> None:
+) -> int:
     """Read all images of one fringe set and its code once, and write all maps once.
 
     Parameters
@@ -96,30 +116,49 @@ def fill(
     maps : Maps; from `allocated` with the same shape and numbering, may be used again
     stack, fringe_set, numbering, any_fringes : see `decode_set`
     fit : FringeFit
+
+    Returns
+    -------
+    int; pixels whose word alone would have given another order, without those of `Maps.cells`
     """
-    images = np.ascontiguousarray(stack.images)
+    images = np.ascontiguousarray(stack.images).reshape(len(stack.images), -1)
     images.setflags(write=False)
-    code = _code(numbering, any_fringes)
-    _fused.decode_rows(images, _steps(fringe_set, fit), _numbers(stack, fit), code, maps)
+    n_corrected = np.zeros(-(-images.shape[1] // _fused.TILE), np.int64)
+    _fused.decode_pixels(
+        images,
+        _steps(fringe_set, fit),
+        _numbers(stack, fit, _fused.ZERO if numbering is None else _fused.TWO_PI),
+        _code(numbering, any_fringes),
+        _flat(maps),
+        n_corrected,
+    )
+    return int(n_corrected.sum())
+
+
+def _flat(maps: _fused.Maps) -> _fused.Maps:
+    return _fused.Maps(**{name: array.reshape(-1) for name, array in maps._asdict().items()})
 
 
 def allocated(shape: tuple[int, int], numbering: Numbering | None, /) -> _fused.Maps:
-    """Return maps for `fill`, not filled."""
-    ordered = shape if numbering is not None else (0, 0)
+    """Return maps (row, col) for `fill`, not filled; those that are not needed are (0, 0)."""
     table = numbering.table if numbering is not None else None
     unsafe = table is not None and bool(table.has_alternative.any())
     return _fused.Maps(
-        offset=np.empty(shape, f4),
-        modulation=np.empty(shape, f4),
-        sigma=np.empty(shape, f4),
-        wrapped=np.empty(shape, f4),
-        reason=np.empty(shape, u2),
-        phase=np.empty(ordered, f4),
-        order=np.empty(ordered, i4),
-        rejection=np.empty(ordered, u2),
-        cells=np.empty(shape if unsafe else (0, 0), i4),
-        counts=np.empty((shape[0], 2), np.int64),
+        offset=_aligned(shape, f4),
+        modulation=_aligned(shape, f4),
+        phase=_aligned(shape, f4),
+        rejection=_aligned(shape, u2),
+        order=_aligned(shape if table is not None else (0, 0), i4),
+        cells=_aligned(shape if unsafe else (0, 0), i4),
     )
+
+
+def _aligned(shape: tuple[int, int], dtype: type[Any]) -> NDArray[Any]:
+    """Return an array, not filled, that starts with a line of the cache."""
+    n, size = shape[0] * shape[1], np.dtype(dtype).itemsize
+    memory = np.empty(n + LINE_BYTES // size, dtype)
+    start = -memory.ctypes.data % LINE_BYTES // size
+    return memory[start : start + n].reshape(shape)
 
 
 def _steps(fringe_set: FringeSet, fit: FringeFit) -> _fused.Steps:
@@ -132,23 +171,23 @@ def _steps(fringe_set: FringeSet, fit: FringeFit) -> _fused.Steps:
     return _fused.Steps(places, weights)
 
 
-def _numbers(stack: ImageStack, fit: FringeFit) -> _fused.Numbers:
+def _numbers(stack: ImageStack, fit: FringeFit, full_turn: np.float32) -> _fused.Numbers:
+    noise = (fit.phase_weight / MAX_PHASE_STD) ** 2
     return _fused.Numbers(
         black=f4(stack.black_level_dn),
         saturation=f4(np.ceil(stack.saturation_dn)),  # grey values are whole
         lowest=f4(fit.lowest_dn),
-        max_std=f4(MAX_PHASE_STD),
-        weight=f4(fit.phase_weight),
-        read_variance=f4(fit.read_variance),
-        gain=f4(fit.gain),
+        least_power=f4(noise * fit.read_variance),
+        power_gain=f4(noise * fit.gain),
         full_scale=f4(np.iinfo(stack.images.dtype).max),
+        full_turn=full_turn,
     )
 
 
 def _code(numbering: Numbering | None, any_fringes: WrappedPhaseMap | None) -> _fused.Code:
     gray_set = numbering.gray_set if numbering is not None else None
     table = numbering.table if numbering is not None else None
-    offset = any_fringes.offset if any_fringes is not None else np.empty((0, 0), f4)
+    offset = any_fringes.offset.reshape(-1) if any_fringes is not None else np.empty(0, f4)
     offset.setflags(write=False)
     packed = table.packed if table is not None else np.empty(0, i4)
     packed.setflags(write=False)
@@ -162,8 +201,8 @@ def _code(numbering: Numbering | None, any_fringes: WrappedPhaseMap | None) -> _
     )
 
 
-def _decide_edges(maps: _fused.Maps, table: OrderTable) -> None:
-    """Decide the pixels next to edges of the code in place."""
+def _decide_edges(maps: _fused.Maps, table: OrderTable) -> int:
+    """Decide the pixels next to edges of the code in place; return how many are corrected."""
     meaning = _mend.Meaning(
         alternatives=table.alternatives.reshape(-1, 2),
         naive=table.naive,
@@ -171,21 +210,30 @@ def _decide_edges(maps: _fused.Maps, table: OrderTable) -> None:
         preceding=table.preceding,
         first_order=i4(table.classes.first_order),
     )
-    _mend.mend_rows(maps, meaning, np.empty(maps.order.shape, i4))
+    n_corrected = np.empty(len(maps.order), np.int64)
+    _mend.mend_rows(maps, meaning, np.empty(maps.order.shape, i4), n_corrected)
+    return int(n_corrected.sum())
+
+
+def _one_order(first_order: int, rejection: NDArray[np.uint16]) -> NDArray[np.int32]:
+    return np.where(rejection == 0, i4(first_order), i4(NO_ORDER))
 
 
 def _phase_map(
     wrapped: WrappedPhaseMap, maps: _fused.Maps, numbering: Numbering, n_mended: int
 ) -> PhaseMap:
-    classes = numbering.classes
+    classes, order = numbering.classes, maps.order
+    if not len(order):
+        one_order = partial(_one_order, classes.first_order, maps.rejection)
+        order = deferred(maps.rejection.shape, one_order)
     return PhaseMap(
         phase=maps.phase,
-        order_class=maps.order,
+        order_class=order,
         class_of_order=classes.class_of_order,
         first_order=classes.first_order,
-        phase_std=wrapped.phase_std,
-        offset=wrapped.offset,
-        modulation=wrapped.modulation,
+        phase_std=deferred(maps.phase.shape, lambda: wrapped.phase_std),
+        offset=maps.offset,
+        modulation=maps.modulation,
         rejection=maps.rejection,
         period_px=wrapped.period_px,
         angle=wrapped.angle,

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
-from fringe3d.model import ImageStack
+from fringe3d.model import ImageStack, Rejection
 from fringe3d.model.plan import FringeSet
 
 MIN_MODULATION_OF_RANGE = 0.008
@@ -16,14 +18,17 @@ MIN_MODULATION_OF_RANGE = 0.008
 KEPT_PART = 0.5
 """Part of the pixels that the noise is estimated from; the others may be edges or motion."""
 
+Sample = tuple[NDArray[np.intp], NDArray[np.intp]]
+"""Rows and columns of some pixels."""
+
 ROUNDING_DN = 0.02
 """Lengths closer than this differ by float32 rounding only."""
 
-NOISE_SAMPLE = 50_000
-"""Pixels that give the noise to 0.6 %."""
+NOISE_SAMPLE = 20_000
+"""Pixels that give the noise to 1 %."""
 
 HARMONIC_SAMPLE = 20_000
-"""Pixels that the second harmonic is the median of."""
+"""Pixels that the second harmonic and the typical noise are the medians of."""
 
 ENOUGH_OF_SAMPLE = 0.1
 """Part of the sample that must be lit or valid; else more rows are searched for such pixels."""
@@ -34,6 +39,9 @@ MIN_STEPS_FOR_RESIDUAL = 8
 """With fewer steps the residual holds the second or third harmonic (gamma), which is no noise: it
 is then believed only if it is smaller than the pixel-to-pixel noise."""
 
+NO_PHASE = np.uint16(Rejection.SATURATED | Rejection.LOW_MODULATION)
+
+MIN_STEPS_FOR_HARMONIC = 5
 MAX_HARMONIC = 4
 QUANTISATION = 1 / 12
 """DN**2; variance of rounding to whole grey values."""
@@ -53,7 +61,7 @@ def estimated_variance(
     fringe_set : FringeSet
     solver : (3, N) float32; weights of the steps for A, C and S
     """
-    leftover = _leftover(fringe_set)
+    leftover = _leftover(fringe_set.shifts)
     n_steps, dark = len(fringe_set.indices), MIN_MODULATION_OF_RANGE * stack.saturation_dn
     wanted = NOISE_SAMPLE
     if n_steps >= MIN_STEPS_FOR_RESIDUAL:
@@ -83,13 +91,14 @@ def _middle_rows(every: int) -> slice:
     return slice(every // 2, None, every)
 
 
-def _leftover(fringe_set: FringeSet) -> NDArray[np.float32]:
+@lru_cache(maxsize=32)
+def _leftover(shifts_rad: tuple[float, ...]) -> NDArray[np.float32]:
     """Return an orthonormal basis of what neither fringe nor its harmonics explain.
 
     Shape (n, N), n the degrees of freedom. Harmonics (gamma) are no noise: as many as leave at
     least one degree are taken out, up to the fourth.
     """
-    shifts = np.asarray(fringe_set.shifts)
+    shifts = np.asarray(shifts_rad)
     n_harmonics = max(1, min(MAX_HARMONIC, (len(shifts) - 2) // 2))
     waves = [f(h * shifts) for h in range(1, n_harmonics + 1) for f in (np.cos, np.sin)]
     basis, values, _ = np.linalg.svd(np.stack([np.ones_like(shifts), *waves], axis=1))
@@ -156,58 +165,53 @@ def _pixel_noise(
     return [_robust_sigma(response[inner] / 6, 1)] if inner.any() else []
 
 
-def typical_variance(variance: NDArray[np.float32], rejection: NDArray[np.uint16], /) -> float:
-    """Return the median of a variance over a sample of the pixels that are not rejected.
+def usable_sample(rejection: NDArray[np.uint16], /) -> Sample:
+    """Return places (row, col) of pixels with a phase, from rows all over the image.
+
+    About as many as `HARMONIC_SAMPLE`; none only where there are none at all.
 
     Parameters
     ----------
-    variance : (row, col) float32
-    rejection : (row, col) uint16; 0 in one pixel at least
+    rejection : (row, col) uint16; also with what a code adds
     """
-    rows = _valid_rows(rejection, NOISE_SAMPLE)
-    return float(np.median(variance[rows][rejection[rows] == 0]))
-
-
-def _valid_rows(rejection: NDArray[np.uint16], n_wanted: int) -> slice:
-    """Return rows that hold this number of pixels, or all where most of those are rejected."""
-    rows = _middle_rows(_row_step(rejection.shape, n_wanted))
-    enough = (rejection[rows] == 0).sum() >= ENOUGH_OF_SAMPLE * n_wanted
-    return rows if enough else slice(None)
+    rows = np.arange(rejection.shape[0])[_middle_rows(_row_step(rejection.shape, HARMONIC_SAMPLE))]
+    usable = (rejection[rows] & NO_PHASE) == 0
+    if np.count_nonzero(usable) < ENOUGH_OF_SAMPLE * HARMONIC_SAMPLE:
+        rows = np.arange(rejection.shape[0])
+        usable = (rejection & NO_PHASE) == 0
+    places = np.flatnonzero(usable)
+    places = places[:: max(1, len(places) // HARMONIC_SAMPLE)]
+    row, col = np.divmod(places, rejection.shape[1])
+    return rows[row], col
 
 
 def harmonic_ratio(
     stack: ImageStack,
     fringe_set: FringeSet,
+    sample: Sample,
     modulation: NDArray[np.float32],
     variance: NDArray[np.float32],
-    rejection: NDArray[np.uint16],
     /,
 ) -> float:
     """Return the second harmonic over the first, median of a sample of pixels.
 
     Noise alone gives a Rayleigh length, whose median square is ``2 ln 2 sigma**2``; it is
-    taken off. NaN with fewer than five steps.
+    taken off. It takes `MIN_STEPS_FOR_HARMONIC` steps.
 
     Parameters
     ----------
     stack : ImageStack
     fringe_set : FringeSet
-    modulation : (row, col) float32, DN
-    variance : (row, col) float32, DN**2; of a grey value
-    rejection : (row, col) uint16; 0 in one pixel at least
+    sample : places (row, col) of n pixels, from `usable_sample`
+    modulation : (n,) float32, DN
+    variance : (n,) or (1,) float32, DN**2; of a grey value
     """
     shifts = np.asarray(fringe_set.shifts)
-    if len(shifts) < 5:
-        return float("nan")
-    rows = _valid_rows(rejection, HARMONIC_SAMPLE)
-    row, col = np.nonzero(rejection[rows] == 0)
-    thin = slice(None, None, max(1, len(row) // HARMONIC_SAMPLE))
-    sample = row[thin], col[thin]
-    grey = np.stack([stack.images[i, rows][sample] for i in fringe_set.indices])
+    grey = np.stack([stack.images[i][sample] for i in fringe_set.indices])
     model = np.stack([np.ones_like(shifts), np.cos(shifts), np.sin(shifts),
                       np.cos(2 * shifts), np.sin(2 * shifts)], axis=1)  # fmt: skip
     solver = np.linalg.pinv(model)[3:]
-    noise = 2 * np.log(2) * (solver**2).sum(axis=1).mean() * variance[rows][sample]
+    noise = 2 * np.log(2) * (solver**2).sum(axis=1).mean() * variance
     power = (np.einsum("nk,ki->ni", solver, grey.astype(np.float64)) ** 2).sum(axis=0)
-    first = modulation[rows][sample] ** 2
+    first = modulation**2
     return float(np.sqrt(max(float(np.median(power / first) - np.median(noise / first)), 0.0)))

@@ -224,7 +224,8 @@ def order_from_code(wrapped: WrappedPhaseMap, words: CodeWords, table: OrderTabl
     """
     phase = positive_phase(wrapped.phase)
     valid = wrapped.rejection == 0
-    bins = np.where(valid, phase * (PHASE_BINS / TWO_PI), 0).astype(np.int32) % PHASE_BINS
+    part = phase * _fused.BINS_PER_RAD + _fused.EDGE
+    bins = np.minimum(np.where(valid, part, 0).astype(np.int32), PHASE_BINS - 1)
     place = words.word * PHASE_BINS + bins
     looked_up = np.where(valid, table.by_word.ravel()[place], np.int32(NO_ORDER))
     unsafe = valid & table.has_alternative[place]

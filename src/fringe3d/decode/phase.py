@@ -75,13 +75,11 @@ def wrapped_phase(
     fit = fringe_fit(stack, fringe_set, min_modulation_dn)
     offset, cosine, sine = _solve(stack, fringe_set, fit)
     modulation = np.hypot(cosine, sine)
-    sigma = (fit.phase_weight * np.sqrt(fit.variance(offset))).astype(np.float32)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        phase_std = sigma / modulation
+    phase_std = fit.phase_std(offset, modulation)
     rejection = np.zeros(stack.shape, np.uint16)
     saturated = stack.images[list(fringe_set.indices)].max(axis=0) >= stack.saturation_dn
     reject(rejection, saturated, Rejection.SATURATED)
-    usable = (modulation >= np.float32(fit.lowest_dn)) & (phase_std <= MAX_PHASE_STD)
+    usable = (modulation >= np.float32(fit.lowest_dn)) & (phase_std < MAX_PHASE_STD)
     reject(rejection, ~usable, Rejection.LOW_MODULATION)
     return wrapped_map(
         stack,
@@ -90,9 +88,9 @@ def wrapped_phase(
         phase=np.where(rejection == 0, np.arctan2(sine, cosine), np.float32(np.nan)),
         offset=offset,
         modulation=modulation,
-        phase_std=np.asarray(phase_std, np.float32),
+        phase_std=phase_std,
         rejection=rejection,
-        n_valid=int((rejection == 0).sum()),
+        decided=rejection,
     )
 
 

@@ -237,7 +237,7 @@ def _ripple_findings(camera: CameraPhases) -> list[Finding]:
     many fringes then shows some phases more often than others.
     """
     figures = [
-        _set_figure(wrapped, _ripple_rad(wrapped), "ripple_rad")
+        _set_figure(wrapped, _ripple_rad(direction, wrapped), "ripple_rad")
         for direction in camera.directions
         for wrapped in direction.wrapped
         if not np.isfinite(wrapped.harmonic_ratio)
@@ -264,12 +264,14 @@ def _ripple_text(camera: CameraPhases, figures: Sequence[_Figure]) -> str:
     )
 
 
-def _ripple_rad(wrapped: WrappedPhaseMap) -> float:
+def _ripple_rad(direction: DirectionPhases, wrapped: WrappedPhaseMap) -> float:
     """Return the ripple of the phase, rad; NaN where there are too few pixels.
 
     It is ``a sin(N phi)`` for N steps, and ``|mean exp(i N phi)| = N a / 2`` for small a.
     """
-    phase = wrapped.phase[np.isfinite(wrapped.phase)].astype(np.float64)
+    is_main = wrapped.period_px == direction.main.period_px
+    phase = direction.main.phase if is_main else wrapped.phase
+    phase = phase[np.isfinite(phase)].astype(np.float64)
     if len(phase) < MIN_RIPPLE_PIXELS:
         return float("nan")
     n = wrapped.n_shifts

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -14,18 +15,57 @@ NO_ORDER = -(2**31)
 """Stands in integer maps where there is no fringe order (orders may be negative)."""
 
 
-def _freeze_maps(owner: Any, **dtypes: Any) -> None:
-    shapes = set()
-    for name, dtype in dtypes.items():
-        array = frozen(getattr(owner, name), dtype)
-        object.__setattr__(owner, name, array)
-        shapes.add(array.shape)
-    if len(shapes) != 1 or len(next(iter(shapes))) != 2:
-        raise ValueError(f"phase map: expected maps (row, col) of one shape, found {shapes}")
+@dataclass(frozen=True, slots=True, eq=False)
+class Deferred:
+    """An array that follows from others; see `deferred`."""
+
+    shape: tuple[int, ...]
+    compute: Callable[[], NDArray[Any]]
+
+
+def deferred(shape: tuple[int, ...], compute: Callable[[], NDArray[Any]], /) -> Any:
+    """Stand in for an array that is computed when it is first asked for.
+
+    Parameters
+    ----------
+    shape : tuple of int
+    compute : function without arguments; returns the array, each time the same
+    """
+    return Deferred(shape, compute)
+
+
+class _Maps:
+    """Maps (row, col) of one shape; those that are `Deferred` are computed at their first use."""
+
+    __slots__ = ("_later",)
+    _later: dict[str, Deferred]
+
+    def _freeze(self, **dtypes: Any) -> None:
+        object.__setattr__(self, "_later", {})
+        shapes = set()
+        for name, dtype in dtypes.items():
+            value = getattr(self, name)
+            if isinstance(value, Deferred):
+                self._later[name] = value
+                object.__delattr__(self, name)
+            else:
+                value = frozen(value, dtype)
+                object.__setattr__(self, name, value)
+            shapes.add(value.shape)
+        if len(shapes) != 1 or len(next(iter(shapes))) != 2:
+            raise ValueError(f"phase map: expected maps (row, col) of one shape, found {shapes}")
+
+    def __getattr__(self, name: str) -> Any:
+        if name == "_later" or name not in self._later:
+            raise AttributeError(f"{type(self).__name__} has no attribute '{name}'")
+        array = self._later[name].compute()
+        array.setflags(write=False)
+        object.__setattr__(self, name, array)
+        return array
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class WrappedPhaseMap:
+class WrappedPhaseMap(_Maps):
     """Wrapped phase of one fringe set.
 
     Parameters
@@ -56,11 +96,11 @@ class WrappedPhaseMap:
 
     def __post_init__(self) -> None:
         f4 = np.float32
-        _freeze_maps(self, phase=f4, offset=f4, modulation=f4, phase_std=f4, rejection=np.uint16)
+        self._freeze(phase=f4, offset=f4, modulation=f4, phase_std=f4, rejection=np.uint16)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class PhaseMap:
+class PhaseMap(_Maps):
     """Phase of one direction and what the code tells of its fringe order.
 
     The code may single out the fringe order, or only a *class* of orders that it cannot tell
@@ -100,8 +140,7 @@ class PhaseMap:
 
     def __post_init__(self) -> None:
         f4 = np.float32
-        _freeze_maps(
-            self,
+        self._freeze(
             phase=f4,
             order_class=np.int32,
             phase_std=f4,
