@@ -7,6 +7,7 @@ that the named mistakes are caught; they do not prove that there are no others.
 from __future__ import annotations
 
 import errno
+import io
 import re
 import shutil
 from collections.abc import Callable
@@ -267,6 +268,24 @@ def spoil(name: str) -> Change:
     return apply
 
 
+def pickled_array() -> bytes:
+    """Return a ``.npy`` file of Python objects."""
+    file = io.BytesIO()
+    np.save(file, np.array([None, "image"], object), allow_pickle=True)
+    return file.getvalue()
+
+
+def stacked(make: Callable[[Image], Image]) -> Change:
+    """Return a change to one ``.npy`` stack for c1 in place of its images."""
+
+    def apply(scan: Path) -> None:
+        files = sorted((scan / "c1").glob("*.png"))
+        np.save(scan / "c1.npy", make(np.stack([load(file) for file in files])))
+        replace("scan.toml", 'images = "c1/{index:03d}.png"', 'stack = "c1.npy"')(scan)
+
+    return apply
+
+
 def float_tiff(scan: Path) -> None:
     """Make one image of c1 a TIFF of floating-point numbers."""
     as_format(".tif")(scan)
@@ -318,6 +337,7 @@ CYLINDER = (
 )
 
 LISTED = [f"c1/{index:03d}.png" for index in range(10)]
+N_STACKED = len(LISTED)
 
 PATHS = [
     Case(
@@ -412,6 +432,57 @@ PATHS = [
         remove("c1", "c2"),
         r"scan: expected the images of camera 'c1' as 'c1/\{index:03d\}\.png' in this folder, "
         r"found none\. Name the folder of the images with --images",
+    ),
+    Case(
+        "stack with an image too few",
+        stacked(lambda images: images[1:]),
+        rf"scan/c1\.npy: camera 'c1': the plan lists {N_STACKED} images, found a stack of "
+        rf"{N_STACKED - 1}\. Record",
+    ),
+    Case(
+        "stack with an image too many",
+        stacked(lambda images: images[[0, *range(len(images))]]),
+        rf"the plan lists {N_STACKED} images, found a stack of {N_STACKED + 1}\..*extra_images",
+    ),
+    Case(
+        "stack of one image",
+        stacked(lambda images: images[0]),
+        r"scan/c1\.npy: expected a stack of images \(pattern, row, col\), found shape \(\d+, \d+\)",
+    ),
+    Case(
+        "stack of real numbers",
+        stacked(lambda images: images.astype(np.float32)),
+        r"scan/c1\.npy: expected samples of 8 or 16 bit \(uint8, uint16\), found <f4\. Convert",
+    ),
+    Case(
+        "stack of objects",
+        everything(stacked(lambda images: images), write("c1.npy", pickled_array())),
+        r"scan/c1\.npy: expected a complete \.npy file, found one that cannot be read: .*objects",
+    ),
+    Case(
+        "stack cut off",
+        everything(stacked(lambda images: images), cut("c1.npy", 0.7)),
+        r"expected a complete \.npy file, found one that cannot be read: .*with numpy\.save",
+    ),
+    Case(
+        "stack of another camera's size",
+        stacked(lambda images: images[:, :-8]),
+        r"camera 'c1': calibrated for \d+ x \d+ pixels, but the images have",
+    ),
+    Case(
+        "stack missing",
+        everything(stacked(lambda images: images), remove("c1.npy"), one_camera),
+        r"expected the images of camera 'c1' as 'c1\.npy' in this folder, found none",
+    ),
+    Case(
+        "stack of another format",
+        replace("scan.toml", 'images = "c1/{index:03d}.png"', 'stack = "c1.raw"'),
+        r"stack: expected the name of a \.npy file, found 'c1\.raw'",
+    ),
+    Case(
+        "stack beside image files",
+        replace("scan.toml", 'name = "c1"', 'name = "c1"\nstack = "c1.npy"'),
+        r"expected one of images \(a pattern\), files \(a list\) and stack \(a \.npy file\)",
     ),
     Case(
         "wildcard fits several files",

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import io
+import os
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, Literal
 
@@ -12,6 +15,8 @@ import tifffile
 from numpy.typing import NDArray
 
 from fringe3d.errors import ImageError
+
+MAX_THREADS = 8
 
 Channel = Literal["grey", "red", "green", "blue"]
 Grey = NDArray[np.unsignedinteger[Any]]
@@ -38,6 +43,77 @@ def read_image(path: Path, /, *, channel: Channel = "grey") -> Grey:
             f"{path}: expected samples of 8 or 16 bit, found {image.dtype}. Convert the image"
         )
     return _to_grey(path, image, channel)
+
+
+def read_images(
+    files: Sequence[Path], /, *, channel: Channel = "grey", done: Callable[[int], None]
+) -> Grey:
+    """Read image files of one camera in threads, (pattern, row, col).
+
+    Beside the result, each thread holds one image. `done` gets the number of images read.
+
+    Raises
+    ------
+    ImageError
+        For the first file that cannot be read, or differs from the first in size or type.
+    """
+    first = read_image(files[0], channel=channel)
+    images = np.empty((len(files), *first.shape), first.dtype)
+
+    def read(number: int) -> None:
+        picture = first if number == 0 else read_image(files[number], channel=channel)
+        _require_alike(files[number], picture, files[0], first)
+        images[number] = picture
+
+    with ThreadPoolExecutor(min(os.cpu_count() or 1, MAX_THREADS)) as pool:
+        for number, _ in enumerate(pool.map(read, range(len(files)))):
+            done(number + 1)
+    return images
+
+
+def _require_alike(file: Path, picture: Grey, first_file: Path, first: Grey) -> None:
+    if picture.shape != first.shape:
+        raise ImageError(
+            f"{file}: expected {_size(first)} pixels as in {first_file.name}, "
+            f"found {_size(picture)}. Is it an image of another camera?"
+        )
+    if picture.dtype != first.dtype:
+        raise ImageError(
+            f"{file}: expected {first.dtype.itemsize * 8} bit as in {first_file.name}, "
+            f"found {picture.dtype.itemsize * 8} bit. Convert one of them"
+        )
+
+
+def _size(image: Grey) -> str:
+    return f"{image.shape[1]} x {image.shape[0]}"
+
+
+def read_stack(path: Path, /) -> Grey:
+    """Map a ``.npy`` file of images (pattern, row, col) into memory, without reading them.
+
+    Raises
+    ------
+    ImageError
+        If it is no ``.npy`` file, is cut off, or holds anything but images of 8 or 16 bit.
+    """
+    try:
+        images = np.load(path, mmap_mode="r", allow_pickle=False)
+    except FileNotFoundError:
+        raise ImageError(f"{path}: expected a stack of images, found no such file") from None
+    except (OSError, ValueError, EOFError) as problem:
+        raise ImageError(
+            f"{path}: expected a complete .npy file, found one that cannot be read: {problem}. "
+            "Write it again with numpy.save"
+        ) from None
+    if not isinstance(images, np.ndarray) or images.ndim != 3 or images.size == 0:
+        found = f"shape {images.shape}" if isinstance(images, np.ndarray) else "an archive"
+        raise ImageError(f"{path}: expected a stack of images (pattern, row, col), found {found}")
+    if images.dtype not in (np.uint8, np.uint16):
+        raise ImageError(
+            f"{path}: expected samples of 8 or 16 bit (uint8, uint16), found {images.dtype.str}. "
+            "Convert the stack"
+        )
+    return np.asarray(images)
 
 
 def _require_complete(path: Path, data: bytes) -> None:

@@ -5,12 +5,11 @@ from __future__ import annotations
 import fnmatch
 import re
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path, PurePosixPath
 
-import numpy as np
-
 from fringe3d.errors import ImageError, PlanError, RigError
-from fringe3d.io.images import Grey, read_image
+from fringe3d.io.images import Grey, read_image, read_images, read_stack
 from fringe3d.io.rigfile import read_rig
 from fringe3d.io.scanfile import CameraTable, ScanTable, read_scan_table
 from fringe3d.model import ImageStack, PatternPlan, Rig, Scan
@@ -61,22 +60,23 @@ def read_scan(
     the_rig = read_rig(rig_file) if rig_file else None
     plan = _plan(file, table, the_rig)
     _require_images(file, table, images)
-    listed = [
-        _image_files(table, camera, _base_folder(file, table, camera, images), plan.n_images)
+    sources = [
+        _source(table, camera, _base_folder(file, table, camera, images), plan.n_images)
         for camera in table.cameras
     ]
-    total = sum(len(files) for files in listed)
+    total = plan.n_images * len(sources)
     stacks: list[ImageStack] = []
-    for camera, files in zip(table.cameras, listed, strict=True):
-        done = sum(len(stack.images) for stack in stacks)
-        pictures = []
-        for number, image_file in enumerate(files):
-            pictures.append(read_image(image_file, channel=camera.channel))
-            progress("reading images", done + number + 1, total)
-        stacks.append(_stack(table, camera, files, pictures, plan))
+    for camera, source in zip(table.cameras, sources, strict=True):
+        done = partial(_report, progress, plan.n_images * len(stacks), total)
+        pictures = _pictures(table, camera, source, done)
+        stacks.append(_stack(table, camera, source, pictures, plan))
     scan = Scan(stacks=tuple(stacks), rig=the_rig, title=table.title)
     _require_fit(scan, rig_file)
     return scan
+
+
+def _report(progress: Progress, before: int, total: int, done: int) -> None:
+    progress("reading images", before + done, total)
 
 
 def _plan(file: Path, table: ScanTable, rig: Rig | None) -> PatternPlan:
@@ -104,7 +104,7 @@ def _require_images(file: Path, table: ScanTable, images: Path | None) -> None:
         if _matches(_base_folder(file, table, camera, images), camera, None):
             return
     first = table.cameras[0]
-    path = PurePosixPath(table.folder) / (first.files[0] if first.files else first.images or "")
+    path = PurePosixPath(table.folder) / first.first_file
     where = file.parent if images is None else f"--images {images}"
     to_do = (
         "Name the folder of the images with --images"
@@ -126,12 +126,36 @@ def _base_folder(file: Path, table: ScanTable, camera: CameraTable, images: Path
     base = images if images is not None else file.parent
     parts = PurePosixPath(table.folder).parts
     tails = [base.joinpath(*parts[skip:]) for skip in range(len(parts) + 1)]
-    probe = camera.files[0] if camera.files else (camera.images or "")
-    folder = str(PurePosixPath(probe).parent)
+    folder = str(PurePosixPath(camera.first_file).parent)
     for tail in tails:
         if _matches(tail, camera, None) or bool(folder != "." and (tail / folder).is_dir()):
             return tail
     return tails[0] if tails[0].is_dir() else base
+
+
+def _source(table: ScanTable, camera: CameraTable, base: Path, n_images: int) -> list[Path]:
+    """Return the files of the images, or the one file of all."""
+    if camera.stack is not None:
+        return [base / camera.stack]
+    return _image_files(table, camera, base, n_images)
+
+
+def _pictures(
+    table: ScanTable, camera: CameraTable, source: list[Path], done: Callable[[int], None]
+) -> Grey:
+    """Return the images (pattern, row, col); those of a stack stay in their file."""
+    if camera.stack is None:
+        return read_images(source, channel=camera.channel, done=done)
+    images, n_images = read_stack(source[0]), table.plan().n_images
+    n_needed = max(table.image_indices or [n_images - 1]) + 1
+    if len(images) < n_needed or (len(images) > n_images and table.extra_images == "error"):
+        raise ImageError(
+            f"{source[0]}: camera '{camera.name}': the plan lists {n_images} images, found a stack "
+            f"of {len(images)}. Record the scan again, correct the sequence, or set "
+            'extra_images = "ignore"'
+        )
+    done(n_images)
+    return images[table.image_indices] if table.image_indices else images[:n_images]
 
 
 def _image_files(table: ScanTable, camera: CameraTable, base: Path, n_images: int) -> list[Path]:
@@ -161,9 +185,9 @@ def _list(missing: list[int]) -> str:
 
 def _matches(base: Path, camera: CameraTable, index: int | None) -> list[Path]:
     """Return the files of one index, or of any index if None."""
-    assert camera.images is not None or camera.files is not None
     if camera.images is None:
-        return [p for name in camera.files or () if (p := base / name).is_file()]
+        names = camera.files if camera.files is not None else [camera.first_file]
+        return [p for name in names if (p := base / name).is_file()]
     path = PurePosixPath(camera.images)
     folder = base / path.parent
     if not folder.is_dir():
@@ -219,49 +243,35 @@ def _require_no_more(base: Path, camera: CameraTable, indices: list[int]) -> Non
 def _stack(
     table: ScanTable,
     camera: CameraTable,
-    files: list[Path],
-    pictures: list[Grey],
+    source: list[Path],
+    pictures: Grey,
     plan: PatternPlan,
 ) -> ImageStack:
-    first = pictures[0]
-    for file, picture in zip(files, pictures, strict=True):
-        if picture.shape != first.shape:
-            raise ImageError(
-                f"{file}: expected {_size(first)} pixels as in {files[0].name}, "
-                f"found {_size(picture)}. Is it an image of another camera?"
-            )
-        if picture.dtype != first.dtype:
-            raise ImageError(
-                f"{file}: expected {first.dtype.itemsize * 8} bit as in {files[0].name}, "
-                f"found {picture.dtype.itemsize * 8} bit. Convert one of them"
-            )
+    where = source[0] if camera.stack is not None else source[0].parent
+    n_bits = 8 * pictures.dtype.itemsize
     top = 2**table.bit_depth - 1
-    brightest = max(int(picture.max()) for picture in pictures)
-    fits_type = table.bit_depth <= 8 * first.dtype.itemsize
-    if brightest > top or not fits_type:
+    # Eight bits of eight cannot be exceeded: then nothing has to be read.
+    brightest = top if table.bit_depth == n_bits == 8 else int(pictures.max())
+    if brightest > top or table.bit_depth > n_bits:
         raise ImageError(
-            f"{files[0].parent}: camera '{camera.name}': bit_depth = {table.bit_depth} allows grey "
-            f"values up to {top}, found {first.dtype.itemsize * 8}-bit images with {brightest}. "
+            f"{where}: camera '{camera.name}': bit_depth = {table.bit_depth} allows grey "
+            f"values up to {top}, found {n_bits}-bit images with {brightest}. "
             "Correct bit_depth in the scan file"
         )
     if table.bit_depth > 8 and brightest <= top // 256:
         raise ImageError(
-            f"{files[0].parent}: camera '{camera.name}': bit_depth = {table.bit_depth} was "
+            f"{where}: camera '{camera.name}': bit_depth = {table.bit_depth} was "
             f"declared, but no grey value exceeds {brightest}. Correct bit_depth, or the exposure"
         )
     return ImageStack(
-        images=np.stack(pictures),
+        images=pictures,
         plan=plan,
         device_name=camera.name,
         saturation_dn=table.saturation,
         black_level_dn=table.black_level_dn,
         noise=table.noise.model() if table.noise else None,
-        is_lossy=any(file.suffix.lower() in LOSSY_SUFFIXES for file in files),
+        is_lossy=any(file.suffix.lower() in LOSSY_SUFFIXES for file in source),
     )
-
-
-def _size(image: Grey) -> str:
-    return f"{image.shape[1]} x {image.shape[0]}"
 
 
 def _require_fit(scan: Scan, rig_file: Path | None) -> None:

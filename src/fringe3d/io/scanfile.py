@@ -157,19 +157,24 @@ class CameraTable(StrictModel):
     """One camera: its name in the rig and the files of its images.
 
     ``images`` is a path with ``{index}`` (or ``{index:02d}``) for the number of the image and
-    ``*`` for anything; or `files` lists the files one by one.
+    ``*`` for anything; or `files` lists the files one by one; or `stack` is one ``.npy`` file.
     """
 
     name: str
     images: str | None = None
     files: list[str] | None = None
+    stack: str | None = None
     first_index: int = 0
     channel: Channel = "grey"
 
     @model_validator(mode="after")
     def _one_kind_of_files(self) -> CameraTable:
-        if (self.images is None) == (self.files is None):
-            raise ValueError("expected either images (a pattern) or files (a list), not both")
+        if sum(kind is not None for kind in (self.images, self.files, self.stack)) != 1:
+            raise ValueError(
+                "expected one of images (a pattern), files (a list) and stack (a .npy file)"
+            )
+        if self.stack is not None and not self.stack.endswith(".npy"):
+            raise ValueError(f"stack: expected the name of a .npy file, found '{self.stack}'")
         if self.images is not None:
             try:
                 differs = self.images.format(index=0) != self.images.format(index=1)
@@ -178,6 +183,11 @@ class CameraTable(StrictModel):
             if not differs:
                 raise ValueError("images: expected a path with {index} or {index:02d} in it")
         return self
+
+    @property
+    def first_file(self) -> str:
+        """Return the path of the first file, or its pattern."""
+        return self.stack or (self.files[0] if self.files else self.images or "")
 
 
 class NoiseTable(StrictModel):

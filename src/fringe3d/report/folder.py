@@ -193,7 +193,7 @@ def _finding_record(finding: Finding) -> dict[str, Any]:
 
 
 def _digest(images: NDArray[Any]) -> str:
-    return hashlib.sha256(images.tobytes()).hexdigest()
+    return hashlib.sha256(np.ascontiguousarray(images).data).hexdigest()
 
 
 def _median(values: NDArray[np.float32], rejection: NDArray[np.uint16]) -> float:
