@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from fringe3d.correspond._orders import DIFFERENCE, RATIO
 from fringe3d.correspond.both_ways import agrees_with_c2, swapped, swapped_bias
 from fringe3d.correspond.solving import coarse_stride, rivals, solve
-from fringe3d.correspond.visibility import takes_foreign_light
+from fringe3d.correspond.visibility import is_hidden, takes_foreign_light
 from fringe3d.correspond.weighing import (
     TWO_PI,
     Choice,
@@ -38,6 +38,9 @@ FIT_SIGMA = 6.0
 
 SEARCH_TURNS = (0.2, 0.45)
 """Periods of C2 around a decided order in which its point is searched, least and most."""
+
+STRICT_MARGIN_PX = 0.5
+"""Of C2 and the projector, next to what they do not see: half a pixel of light from there."""
 
 LEAST_RATIO = 0.5
 
@@ -109,7 +112,8 @@ def choose_orders(
     fit_sigma : float; residuals beyond are no fit
     together : bool; decide with the evidence of all pixels along eight paths through each, on
         which the absolute phase is continuous; otherwise each pixel decides alone
-    strict : bool; C2, asked in its turn, must be certain of the same order
+    strict : bool; C2, asked in its turn, must be certain of the same order, and points next to what
+        C2 does not see or the light does not reach are HIDDEN, too
 
     Returns
     -------
@@ -138,15 +142,34 @@ def choose_orders(
                          outside=chosen.outside * agreement)  # fmt: skip
     if not search:  # a code leaves so few orders that what fits outside is outside
         chosen = replace(chosen, outside=np.ones(len(task.pixels)))
-    agrees = np.ones(len(task.pixels), bool)
+    agrees, hidden = np.ones(len(task.pixels), bool), np.zeros(len(task.pixels), bool)
     if together and not views.phases1.is_absolute and len(task.pixels):
-        back = Task(swapped(views), projector, volume, fit_sigma**2, together)
-        seen_back, _ = solve(back, swapped_bias(bias, task, projector, back.frame), doubts=False)
-        agrees = agrees_with_c2(task, chosen, back, seen_back, strict=strict)
-        trusted = agrees & (chosen.cost <= task.limit)
-        agrees &= ~takes_foreign_light(task, chosen, trusted, projector)
-    found = _chosen(task, chosen, bias, agrees, min_probability)
+        agrees, hidden = _checked(task, chosen, bias, projector, volume, strict)
+    found = _chosen(task, chosen, bias, agrees, hidden, min_probability)
     return replace(found, rival_shift=rival.shift() if rival is not None else 0)
+
+
+def _checked(
+    task: Task,
+    chosen: Choice,
+    bias: CalibrationBias,
+    projector: Device,
+    volume: MeasuringVolume,
+    strict: bool,
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Tell which orders C2 and the light agree to, and whose points one of them does not reach."""
+    back = Task(swapped(task.views), projector, volume, task.limit, together=True)
+    seen_back, _ = solve(back, swapped_bias(bias, task, projector, back.frame), doubts=False)
+    # What claims light or hides other points need not be as certain as a point must, if strict.
+    agrees = agrees_with_c2(task, chosen, back, seen_back, strict=False)
+    agrees &= ~takes_foreign_light(task, chosen, agrees & (chosen.cost <= task.limit), projector)
+    surface = agrees & (chosen.cost <= task.limit)
+    hidden = is_hidden(
+        task, chosen, surface, projector, margin_px=STRICT_MARGIN_PX if strict else 0.0
+    )
+    if strict:
+        agrees &= agrees_with_c2(task, chosen, back, seen_back, strict=True)
+    return agrees, hidden
 
 
 def _chosen(
@@ -154,6 +177,7 @@ def _chosen(
     chosen: Choice,
     bias: CalibrationBias,
     agrees: NDArray[np.bool_],
+    hidden: NDArray[np.bool_],
     min_probability: float,
 ) -> ChosenOrders:
     phases1, valid = task.views.phases1, task.valid
@@ -164,6 +188,7 @@ def _chosen(
         (task.misses | (fits & ~chosen.is_inside & certain), Rejection.OUTSIDE_VOLUME),
         (~task.misses & ~(fits & agrees), Rejection.NO_MATCH),
         (fits & ~task.misses & ~certain, Rejection.AMBIGUOUS),
+        (hidden, Rejection.HIDDEN),
     ):
         reject(rejection, _spread(where, valid, fill=False), reason)
     all_orders = np.arange(len(phases1.class_of_order), dtype=np.int32) + phases1.first_order

@@ -1,12 +1,13 @@
-"""One ray of light meets one surface: which of two that claim it is the true one."""
+"""Which points cannot be what they seem: their light is another's, or they are hidden."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fringe3d.correspond.occlusion import hidden_from
 from fringe3d.correspond.surfaces import surfaces
-from fringe3d.correspond.weighing import Choice, Task
+from fringe3d.correspond.weighing import TWO_PI, Choice, Task
 from fringe3d.geometry import project, sheet_crossing
 from fringe3d.model import NO_ORDER, Device
 
@@ -56,6 +57,36 @@ def takes_foreign_light(task: Task, chosen: Choice, trusted: Bools, projector: D
     share = np.bincount(surface, contested) / np.maximum(sizes, 1)
     wrong[claims] = share[surface] > CONTESTED
     return wrong
+
+
+def is_hidden(
+    task: Task, chosen: Choice, trusted: Bools, projector: Device, /, *, margin_px: float = 0.0
+) -> Bools:
+    """Tell which pixels show a point that C2 does not see, or that the projector does not light.
+
+    C1 and the light sheets of the chosen orders place the surface: C2, where it sees two of its
+    parts in one pixel, would place it wrongly.
+
+    Parameters
+    ----------
+    task : Task
+    chosen : Choice; orders (n,)
+    trusted : (n,) bool; pixels whose order is well founded; the others hide nothing
+    projector : Device
+    margin_px : float; see `hidden_from`
+
+    Returns
+    -------
+    (n,) bool
+    """
+    if not trusted.any():
+        return np.zeros(len(trusted), bool)
+    depths, noise = np.full((2, *task.valid.shape), np.nan)
+    depths[task.valid] = np.where(trusted, chosen.depth_mm, np.nan)
+    noise[task.valid] = task.first[1] / TWO_PI * _way_in_a_period(task, chosen, projector)
+    devices = task.views.camera2, projector
+    hidden = hidden_from(devices, task.views.camera1, depths, noise, margin_px=margin_px)
+    return np.asarray(hidden[task.valid])
 
 
 def _cells(light: NDArray[np.float64], task: Task, claims: Bools) -> tuple[NDArray[np.intp], int]:

@@ -28,6 +28,7 @@ class Rejection(IntFlag):
     ISOLATED = 1 << 11
     EDGE = 1 << 12
     SAME_POINT = 1 << 13
+    HIDDEN = 1 << 14
 
     @property
     def meaning(self) -> str:
@@ -50,6 +51,7 @@ _MEANINGS = {
     Rejection.ISOLATED: "the point has no neighbours on its surface",
     Rejection.EDGE: "next to a depth edge, where light of two surfaces mixes (--drop-edges)",
     Rejection.SAME_POINT: "shares its projector pixel with neighbours: one point stands for all",
+    Rejection.HIDDEN: "the surface itself hides the point from the second camera or the light",
 }
 
 
