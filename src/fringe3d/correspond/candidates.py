@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from fringe3d.correspond._orders import DIFFERENCE, RATIO
 from fringe3d.correspond.both_ways import agrees_with_c2, swapped, swapped_bias
 from fringe3d.correspond.solving import coarse_stride, rivals, solve
-from fringe3d.correspond.visibility import is_hidden, takes_foreign_light
+from fringe3d.correspond.visibility import is_hidden, is_outshone, takes_foreign_light
 from fringe3d.correspond.weighing import (
     TWO_PI,
     Choice,
@@ -46,6 +46,10 @@ LEAST_RATIO = 0.5
 
 LEAST_PLACING_RATIO = 0.1
 """Of the phases that C2 and the projector see along a ray; with less C2 tells no place on it."""
+
+
+Refusal = tuple[NDArray[np.bool_], Rejection]
+"""Pixels, and the reason why they have no point."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -112,8 +116,9 @@ def choose_orders(
     fit_sigma : float; residuals beyond are no fit
     together : bool; decide with the evidence of all pixels along eight paths through each, on
         which the absolute phase is continuous; otherwise each pixel decides alone
-    strict : bool; C2, asked in its turn, must be certain of the same order, and points next to what
-        C2 does not see or the light does not reach are HIDDEN, too
+    strict : bool; C2, asked in its turn, must be certain of the same order, points next to what C2
+        does not see or the light does not reach are HIDDEN, too, and pixels that are faint beside
+        their neighbours have LOW_MODULATION
 
     Returns
     -------
@@ -142,10 +147,10 @@ def choose_orders(
                          outside=chosen.outside * agreement)  # fmt: skip
     if not search:  # a code leaves so few orders that what fits outside is outside
         chosen = replace(chosen, outside=np.ones(len(task.pixels)))
-    agrees, hidden = np.ones(len(task.pixels), bool), np.zeros(len(task.pixels), bool)
+    agrees, refused = np.ones(len(task.pixels), bool), list[Refusal]()
     if together and not views.phases1.is_absolute and len(task.pixels):
-        agrees, hidden = _checked(task, chosen, bias, projector, volume, strict)
-    found = _chosen(task, chosen, bias, agrees, hidden, min_probability)
+        agrees, refused = _checked(task, chosen, bias, projector, volume, strict)
+    found = _chosen(task, chosen, bias, agrees, refused, min_probability)
     return replace(found, rival_shift=rival.shift() if rival is not None else 0)
 
 
@@ -156,8 +161,8 @@ def _checked(
     projector: Device,
     volume: MeasuringVolume,
     strict: bool,
-) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Tell which orders C2 and the light agree to, and whose points one of them does not reach."""
+) -> tuple[NDArray[np.bool_], list[Refusal]]:
+    """Tell which orders C2 and the light agree to, and which points cannot be measured, and why."""
     back = Task(swapped(task.views), projector, volume, task.limit, together=True)
     seen_back, _ = solve(back, swapped_bias(bias, task, projector, back.frame), doubts=False)
     # What claims light or hides other points need not be as certain as a point must, if strict.
@@ -167,9 +172,11 @@ def _checked(
     hidden = is_hidden(
         task, chosen, surface, projector, margin_px=STRICT_MARGIN_PX if strict else 0.0
     )
+    refused = [(hidden, Rejection.HIDDEN)]
     if strict:
         agrees &= agrees_with_c2(task, chosen, back, seen_back, strict=True)
-    return agrees, hidden
+        refused.append((is_outshone(task, chosen), Rejection.LOW_MODULATION))
+    return agrees, refused
 
 
 def _chosen(
@@ -177,7 +184,7 @@ def _chosen(
     chosen: Choice,
     bias: CalibrationBias,
     agrees: NDArray[np.bool_],
-    hidden: NDArray[np.bool_],
+    refused: list[Refusal],
     min_probability: float,
 ) -> ChosenOrders:
     phases1, valid = task.views.phases1, task.valid
@@ -188,7 +195,7 @@ def _chosen(
         (task.misses | (fits & ~chosen.is_inside & certain), Rejection.OUTSIDE_VOLUME),
         (~task.misses & ~(fits & agrees), Rejection.NO_MATCH),
         (fits & ~task.misses & ~certain, Rejection.AMBIGUOUS),
-        (hidden, Rejection.HIDDEN),
+        *refused,
     ):
         reject(rejection, _spread(where, valid, fill=False), reason)
     all_orders = np.arange(len(phases1.class_of_order), dtype=np.int32) + phases1.first_order

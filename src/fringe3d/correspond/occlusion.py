@@ -23,8 +23,8 @@ BEHIND_SIGMA = 4.0
 SAMPLE = 8
 """Every eighth pixel of both directions tells how far apart neighbours are."""
 
-STEEPEST = np.tan(np.radians(80.0))
-"""Within a margin around a point its own surface comes nearer by no more than this slope."""
+STEEPEST = 5.0
+"""Slope, 79 degrees, by which a point's own surface may come nearer within the margin."""
 
 
 def hidden_from(
@@ -50,7 +50,7 @@ def hidden_from(
     depths_mm : (row, col) float, mm; along the viewing rays of C1; NaN where there is no surface
     noise_mm : (row, col) float, mm; their standard deviation
     margin_px : float, px of the devices; if positive, what has something before it within so much
-        is hidden, too, and so is a surface steeper than 80 degrees
+        is hidden, too, and so is a surface steeper than five to one
 
     Returns
     -------
