@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fringe3d.correspond._occlusion import find_behind
-from fringe3d.geometry import pixel_grid, rays
+from fringe3d.geometry import grid_rays
 from fringe3d.model import Device
 
 Floats = NDArray[np.float64]
@@ -64,7 +64,7 @@ def hidden_from(
     if not np.isfinite(depths_mm).any():
         return np.zeros(depths_mm.shape, bool)
     noise = BEHIND_SIGMA * np.sqrt(2) * noise_mm
-    _, directions = rays(camera1, pixel_grid(camera1.shape))
+    _, directions = grid_rays(camera1)
     hidden = np.zeros(depths_mm.shape, bool)
     for device in devices:
         lines = _Lines(device, camera1, directions, depths_mm)

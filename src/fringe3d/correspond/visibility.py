@@ -111,8 +111,8 @@ def is_outshone(task: Task, chosen: Choice, /) -> Bools:
     """
     views = task.views
     faint1, faint2 = (_faint(phases.modulation) for phases in (views.phases1, views.phases2))
-    origin, directions = rays(views.camera1, task.pixels)
-    places = project(views.camera2, origin + chosen.depth_mm[:, None] * directions)
+    points = task.origin + chosen.depth_mm[:, None] * task.directions
+    places = project(views.camera2, points)
     col, row = np.rint(np.nan_to_num(places, nan=-1)).astype(np.int64).T
     is_inside = (row >= 0) & (col >= 0) & (row < faint2.shape[0]) & (col < faint2.shape[1])
     outshone = faint1[task.valid]
