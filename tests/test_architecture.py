@@ -52,6 +52,8 @@ ALLOWED: dict[str, set[str]] = {
     | {"decode", "correspond", "matching", "methods", "options", "triangulate", "health"},
     # What recordings tell of a rig: it decodes and solves as a measurement does.
     "rig_bias": NOUNS | {"correspond", "decode", "matching", "options"},
+    # What scans of a board show: it decodes them and hands the corners' light to the calibration.
+    "board_scans": NOUNS | {"calibrate", "decode"},
     "report": NOUNS
     | {
         "calibrate",
@@ -68,6 +70,7 @@ ALLOWED: dict[str, set[str]] = {
     },
     "cli": NOUNS
     | {
+        "board_scans",
         "calibrate",
         "design",
         "evaluate",

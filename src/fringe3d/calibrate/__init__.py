@@ -1,22 +1,51 @@
-"""Calibrate devices from measurements."""
+"""Calibrate devices from boards and from measurements."""
 
+from fringe3d.calibrate._board_lens import BOARD_LENSES, BoardLens, BoardLensTrial
+from fringe3d.calibrate._board_shape import SHAPES, BoardShape, ShapeTrial
 from fringe3d.calibrate._lens import LENSES, Lens, LensTrial
 from fringe3d.calibrate._parameters import Parameter
+from fringe3d.calibrate.board import BoardCalibration, BoardOptions, DeviceSize, calibrate_board
+from fringe3d.calibrate.board_judging import (
+    PoseLeftOut,
+    check_board,
+    focal_sigma_by_poses,
+    leave_poses_out,
+)
+from fringe3d.calibrate.board_view import BoardView
+from fringe3d.calibrate.corner_light import light_on_corners
 from fringe3d.calibrate.judging import Rest, check_fit, region_points, rests
 from fringe3d.calibrate.lit_points import LitPoints, lit_points
+from fringe3d.calibrate.point_error import point_covariance
 from fringe3d.calibrate.projector import FittedProjector, fit_projector, residual_px
 
 __all__ = [
+    "BOARD_LENSES",
     "LENSES",
+    "SHAPES",
+    "BoardCalibration",
+    "BoardLens",
+    "BoardLensTrial",
+    "BoardOptions",
+    "BoardShape",
+    "BoardView",
+    "DeviceSize",
     "FittedProjector",
     "Lens",
     "LensTrial",
     "LitPoints",
     "Parameter",
+    "PoseLeftOut",
     "Rest",
+    "ShapeTrial",
+    "calibrate_board",
+    "check_board",
     "check_fit",
     "fit_projector",
+    "focal_sigma_by_poses",
+    "leave_poses_out",
+    "light_on_corners",
     "lit_points",
+    "point_covariance",
     "region_points",
     "residual_px",
     "rests",

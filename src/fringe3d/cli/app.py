@@ -9,11 +9,11 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
-from fringe3d.cli import biasing, calibrating, planning, simulated
+from fringe3d.cli import biasing, boarding, calibrating, planning, simulated
 from fringe3d.cli.console import Reporter, say
 from fringe3d.cli.parameters import Json, Overwrite, app, at_least
 
-__all__ = ["app", "biasing", "calibrating", "planning", "simulated"]
+__all__ = ["app", "biasing", "boarding", "calibrating", "planning", "simulated"]
 
 
 @app.command

@@ -281,7 +281,8 @@ def _measured(
         for stack in scan.stacks
     )
     # What both cameras see beside the volume is as good for this.
-    bare = replace(scan, stacks=stacks, rig=replace(scan.rig, projector=None, volume=None))
+    cameras_only = replace(scan.rig, projector=None, volume=None, covariance=None)
+    bare = replace(scan, stacks=stacks, rig=cameras_only)
     wanted = MeasureOptions(method="m1", drop_edges=True, depth_mm=options.depth_mm)
     n_stages = STAGES * len(options.scans) + 2
     try:

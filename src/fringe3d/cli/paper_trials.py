@@ -137,5 +137,5 @@ def own_images(scan: Scan, together: PatternPlan, plan: PatternPlan, trial: Tria
     places = [together.patterns.index(pattern) for pattern in plan.patterns]
     rig = scan.rig
     if rig is not None and not trial.has_projector:
-        rig = replace(rig, projector=None)
+        rig = replace(rig, projector=None, covariance=None)
     return replace(scan, stacks=tuple(stack.subset(places) for stack in scan.stacks), rig=rig)

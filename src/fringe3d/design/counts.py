@@ -316,7 +316,7 @@ def with_projector_at(rig: Rig, angle: float, /) -> Rig:
     rotation = Rotation.from_rotvec(turn * axis / np.linalg.norm(axis)).as_matrix()
     back = RigidTransform(rotation=rotation.T, translation=pivot - rotation.T @ pivot)
     moved = replace(projector, device_from_world=projector.device_from_world @ back)
-    return replace(rig, projector=moved)
+    return replace(rig, projector=moved, covariance=None)
 
 
 def angle_without_code(

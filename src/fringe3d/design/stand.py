@@ -69,7 +69,8 @@ class Stand:
         rotation = projector.device_from_world.rotation @ given.T @ self._aimed(direction)
         place = self.point_mm + np.linalg.norm(away) * direction
         pose = RigidTransform(rotation=rotation, translation=-rotation @ place)
-        return replace(rig, projector=replace(projector, device_from_world=pose))
+        moved = replace(projector, device_from_world=pose)
+        return replace(rig, projector=moved, covariance=None)
 
     def _aimed(self, direction: Array) -> Array:
         """Return the rotation (3, 3) into a frame that looks here, its rows along `sideways`."""

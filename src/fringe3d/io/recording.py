@@ -30,6 +30,7 @@ def read_scan(
     *,
     images: Path | None = None,
     rig: Path | None = None,
+    with_rig: bool = True,
     progress: Progress = _silent,
 ) -> Scan:
     """Read a scan folder, or the scan file of a recording that lies elsewhere.
@@ -39,6 +40,7 @@ def read_scan(
     path : folder with a ``scan.toml``, or a scan file
     images : folder of the images; that of the scan file if None
     rig : rig file that replaces the one named in the scan file
+    with_rig : bool; False leaves out what the scan file says of a rig but the projector's size
     progress : called as the images are read
 
     Raises
@@ -59,6 +61,7 @@ def read_scan(
     rig_file = rig or (file.parent / table.rig if table.rig else None)
     the_rig = read_rig(rig_file) if rig_file else None
     plan = _plan(file, table, the_rig)
+    the_rig = the_rig if with_rig else None
     _require_images(file, table, images)
     sources = [
         _source(table, camera, _base_folder(file, table, camera, images), plan.n_images)

@@ -15,7 +15,14 @@ from pydantic import Field, field_validator
 
 from fringe3d.errors import RigError
 from fringe3d.io.toml import StrictModel, read_toml
-from fringe3d.model import CalibrationBias, Device, MeasuringVolume, Rig, RigidTransform
+from fringe3d.model import (
+    CalibrationBias,
+    Device,
+    MeasuringVolume,
+    Rig,
+    RigCovariance,
+    RigidTransform,
+)
 from fringe3d.model.bias import N_TERMS
 from fringe3d.model.volume import BoxShape, CylinderShape, Shape, SlabShape
 
@@ -138,6 +145,32 @@ class BiasTable(StrictModel):
         )
 
 
+class CovarianceTable(StrictModel):
+    """``[covariance]``: how certain the numbers of these devices are; see `RigCovariance`."""
+
+    devices: str
+    names: list[str]
+    lower_triangle: list[list[float]]
+
+    def covariance(self, devices: Sequence[Device]) -> RigCovariance:
+        """Return the covariance, if it belongs to the devices."""
+        if self.devices != fingerprint(devices):
+            raise ValueError(
+                "covariance: expected that of the devices of this file "
+                f"({fingerprint(devices)}), found one of other devices ({self.devices}). Take the "
+                "[covariance] table out, or calibrate again"
+            )
+        if [len(row) for row in self.lower_triangle] != list(range(1, len(self.names) + 1)):
+            raise ValueError(
+                f"covariance: lower_triangle: expected rows of 1 to {len(self.names)} numbers, one "
+                f"row for each name, found {len(self.lower_triangle)} rows"
+            )
+        matrix = np.zeros((len(self.names), len(self.names)))
+        for number, row in enumerate(self.lower_triangle):
+            matrix[number, : number + 1] = matrix[: number + 1, number] = row
+        return RigCovariance(names=tuple(self.names), matrix=matrix)
+
+
 def fingerprint(devices: Sequence[Device], /) -> str:
     """Return a short text that differs where calibrated devices differ."""
     numbers = [
@@ -156,6 +189,7 @@ class RigTable(StrictModel):
     devices: list[DeviceTable]
     volume: VolumeTable | None = None
     bias: BiasTable | None = None
+    covariance: CovarianceTable | None = None
 
 
 def read_rig(path: Path, /) -> Rig:
@@ -180,6 +214,8 @@ def read_rig(path: Path, /) -> Rig:
         )
         if table.bias is not None:
             rig = replace(rig, bias=table.bias.bias(rig.devices))
+        if table.covariance is not None:
+            rig = replace(rig, covariance=table.covariance.covariance(rig.devices))
         _require_visible(rig)
     except ValueError as problem:
         raise RigError(f"{path}: {problem}. Correct the file") from None
@@ -268,6 +304,8 @@ def rig_text(rig: Rig, /) -> str:
         document["volume"] = _volume_table(rig.volume, rig)
     if rig.bias is not None:
         document["bias"] = _bias_table(rig.bias, rig)
+    if rig.covariance is not None:
+        document["covariance"] = _covariance_table(rig.covariance, rig)
     return tomlkit.dumps(document)
 
 
@@ -279,6 +317,19 @@ def _bias_table(bias: CalibrationBias, rig: Rig) -> tomlkit.items.Table:
     table["middle"], table["scale"] = bias.middle.tolist(), bias.scale.tolist()
     table["scatter_px"], table["sigma_px"] = bias.scatter_px, bias.sigma_px
     table["source"] = bias.source
+    return table
+
+
+def _covariance_table(covariance: RigCovariance, rig: Rig) -> tomlkit.items.Table:
+    table = tomlkit.table()
+    table["devices"] = fingerprint(rig.devices)
+    table["names"] = list(covariance.names)
+    rows = tomlkit.array()
+    rows.extend([
+        [float(f"{number:.9g}") for number in row[: place + 1]]
+        for place, row in enumerate(covariance.matrix.tolist())
+    ])  # fmt: skip
+    table["lower_triangle"] = rows.multiline(True)
     return table
 
 

@@ -1,8 +1,10 @@
 """The nouns: frozen data, checked once when they are made."""
 
 from fringe3d.model.bias import CalibrationBias
+from fringe3d.model.board import Board
 from fringe3d.model.cloud import PointCloud, PointMap
 from fringe3d.model.correspondences import Correspondences
+from fringe3d.model.covariance import RigCovariance
 from fringe3d.model.device import Device
 from fringe3d.model.phasemap import NO_ORDER, PhaseMap, WrappedPhaseMap
 from fringe3d.model.plan import Fringe, GrayBit, Pattern, PatternPlan, Uniform, Unused
@@ -15,6 +17,7 @@ from fringe3d.model.volume import MeasuringVolume
 
 __all__ = [
     "NO_ORDER",
+    "Board",
     "CalibrationBias",
     "Correspondences",
     "Device",
@@ -30,6 +33,7 @@ __all__ = [
     "PointMap",
     "Rejection",
     "Rig",
+    "RigCovariance",
     "RigidTransform",
     "Scan",
     "Uniform",

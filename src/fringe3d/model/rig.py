@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from fringe3d.model.bias import CalibrationBias
+from fringe3d.model.covariance import RigCovariance
 from fringe3d.model.device import Device
 from fringe3d.model.volume import MeasuringVolume
 
@@ -21,6 +22,7 @@ class Rig:
     provenance : str; where the calibration comes from
     bias : CalibrationBias or None; what is known of the calibration's error, of exactly these
         devices
+    covariance : RigCovariance or None; how certain the numbers of exactly these devices are
     """
 
     cameras: tuple[Device, ...]
@@ -28,6 +30,7 @@ class Rig:
     volume: MeasuringVolume | None = None
     provenance: str = ""
     bias: CalibrationBias | None = None
+    covariance: RigCovariance | None = None
 
     def __post_init__(self) -> None:
         if not self.cameras:
@@ -38,6 +41,13 @@ class Rig:
         names = [device.name for device in self.devices]
         if len(set(names)) < len(names):
             raise ValueError(f"rig: expected a different name for each device, found {names}")
+        known = (
+            {name.rpartition(".")[0] for name in self.covariance.names}
+            if self.covariance
+            else set()
+        )
+        if not known <= set(names):
+            raise ValueError(f"rig: covariance: expected devices of {names}, found {sorted(known)}")
         if self.projector is not None and self.projector.role != "projector":
             raise ValueError(f"rig: '{self.projector.name}' stands as projector but is a camera")
 

@@ -164,7 +164,7 @@ def _with_errors(rig: Rig, errors: Floats, middle_mm: Floats) -> Rig:
     devices = [_moved(device, row, middle_mm) for device, row in pairs]
     cameras = tuple(devices[: len(rig.cameras)])
     projector = devices[-1] if rig.projector is not None else None
-    return replace(rig, cameras=cameras, projector=projector)
+    return replace(rig, cameras=cameras, projector=projector, covariance=None)
 
 
 def _moved(device: Device, e: Floats, middle_mm: Floats) -> Device:
