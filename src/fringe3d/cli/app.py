@@ -70,7 +70,8 @@ def measure(
     depth
         MIN:MAX, mm along the principal ray of C1; needed with few bits.
     strict
-        Metrology: fewer wrong points, at the price of uncertain ones.
+        Metrology: only orders that are certain; with m6 also no points next to what the second
+        camera does not see or the light does not reach.
     drop_edges
         Leave out points next to depth edges, where light of two surfaces mixes.
     min_modulation

@@ -109,16 +109,17 @@ def choose_orders(
     projector : Device
     volume : MeasuringVolume
     bias : CalibrationBias or None; of the rig; None learns it from the images
-    search : bool; where the bias is not known, look for all that go with the images. Where they
-        come with different orders, these are less probable
+    search : bool; no code confirms the orders: where the bias is not known, look for all that go
+        with the images (where they come with different orders, these are less probable), and reject
+        points that the surface itself hides from C2 or the light
     witnesses : Witnesses or None; further cameras, and the frame before
     min_probability : float; less probable orders are AMBIGUOUS; 0 takes the best that fits
     fit_sigma : float; residuals beyond are no fit
     together : bool; decide with the evidence of all pixels along eight paths through each, on
         which the absolute phase is continuous; otherwise each pixel decides alone
-    strict : bool; C2, asked in its turn, must be certain of the same order, points next to what C2
-        does not see or the light does not reach are HIDDEN, too, and pixels that are faint beside
-        their neighbours have LOW_MODULATION
+    strict : bool; C2, asked in its turn, must be certain of the same order. In a `search`, points
+        next to what C2 does not see or the light does not reach are HIDDEN, too, and pixels that
+        are faint beside their neighbours have LOW_MODULATION
 
     Returns
     -------
@@ -149,34 +150,28 @@ def choose_orders(
         chosen = replace(chosen, outside=np.ones(len(task.pixels)))
     agrees, refused = np.ones(len(task.pixels), bool), list[Refusal]()
     if together and not views.phases1.is_absolute and len(task.pixels):
-        agrees, refused = _checked(task, chosen, bias, projector, volume, strict)
+        back = Task(swapped(views), projector, volume, task.limit, together=True)
+        seen_back, _ = solve(back, swapped_bias(bias, task, projector, back.frame), doubts=False)
+        # What claims light or hides other points need not be as certain as a point must, if strict.
+        agrees = agrees_with_c2(task, chosen, back, seen_back, strict=False)
+        surface = agrees & (chosen.cost <= task.limit)
+        agrees &= ~takes_foreign_light(task, chosen, surface, projector)
+        if search:
+            refused = _refused(task, chosen, agrees & surface, projector, strict)
+        if strict:
+            agrees &= agrees_with_c2(task, chosen, back, seen_back, strict=True)
     found = _chosen(task, chosen, bias, agrees, refused, min_probability)
     return replace(found, rival_shift=rival.shift() if rival is not None else 0)
 
 
-def _checked(
-    task: Task,
-    chosen: Choice,
-    bias: CalibrationBias,
-    projector: Device,
-    volume: MeasuringVolume,
-    strict: bool,
-) -> tuple[NDArray[np.bool_], list[Refusal]]:
-    """Tell which orders C2 and the light agree to, and which points cannot be measured, and why."""
-    back = Task(swapped(task.views), projector, volume, task.limit, together=True)
-    seen_back, _ = solve(back, swapped_bias(bias, task, projector, back.frame), doubts=False)
-    # What claims light or hides other points need not be as certain as a point must, if strict.
-    agrees = agrees_with_c2(task, chosen, back, seen_back, strict=False)
-    agrees &= ~takes_foreign_light(task, chosen, agrees & (chosen.cost <= task.limit), projector)
-    surface = agrees & (chosen.cost <= task.limit)
-    hidden = is_hidden(
-        task, chosen, surface, projector, margin_px=STRICT_MARGIN_PX if strict else 0.0
-    )
-    refused = [(hidden, Rejection.HIDDEN)]
-    if strict:
-        agrees &= agrees_with_c2(task, chosen, back, seen_back, strict=True)
-        refused.append((is_outshone(task, chosen), Rejection.LOW_MODULATION))
-    return agrees, refused
+def _refused(
+    task: Task, chosen: Choice, surface: NDArray[np.bool_], projector: Device, strict: bool
+) -> list[Refusal]:
+    """Return which points cannot be measured, and why: no code confirms orders of mixed pixels."""
+    margin = STRICT_MARGIN_PX if strict else 0.0
+    hidden = is_hidden(task, chosen, surface, projector, margin_px=margin)
+    faint = [(is_outshone(task, chosen), Rejection.LOW_MODULATION)] if strict else []
+    return [(hidden, Rejection.HIDDEN), *faint]
 
 
 def _chosen(
