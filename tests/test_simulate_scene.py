@@ -562,6 +562,16 @@ def test_wide_depth_and_face_have_their_sizes() -> None:
         assert in_image(camera, pixels_of(camera, rim_points)).all()
 
 
+@pytest.mark.parametrize("name", PRESETS)
+@pytest.mark.parametrize("thing", ["plane", "machine-part"])
+def test_top_of_an_object_lies_in_the_volume(name: str, thing: str) -> None:
+    """Its foot may lie below, with the table."""
+    preset = PRESETS[name](SMALL)
+    scene = preset.scene(OBJECTS[thing]())
+    top = scene.world_from_object.apply(scene.thing.vertices_mm)[:, 2].max()
+    assert abs(top) < 0.5 * preset.height_mm - 0.01 * preset.height_mm
+
+
 def test_single_has_one_camera() -> None:
     preset = PRESETS["single"](SMALL)
     assert [device.name for device in preset.rig.devices] == ["c1", "projector"]

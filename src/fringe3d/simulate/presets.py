@@ -36,6 +36,7 @@ class Preset:
         40 % more: the table below the volume is seen, too
     diameter_mm, height_mm : float, mm; of the measuring volume, about the origin
     fringe_angle : float, rad; fringes that suit it
+    lift_mm : float, mm; by which objects are held above the table, to be in the volume
     """
 
     name: str
@@ -46,6 +47,7 @@ class Preset:
     diameter_mm: float
     height_mm: float
     fringe_angle: float = 0.0
+    lift_mm: float = 0.0
 
     @property
     def table_mm(self) -> float:
@@ -64,7 +66,7 @@ class Preset:
         background: str = "table",
         scaled: bool = True,
     ) -> Scene:
-        """Stand an object on a table, hang it before a wall, or in empty space.
+        """Stand an object on (or hold it above) a table, hang it before a wall, or in empty space.
 
         Parameters
         ----------
@@ -83,7 +85,9 @@ class Preset:
         return Scene(
             thing=thing.scaled(self.scale()) if scaled else thing,
             surface=surface or Surface(),
-            world_from_object=RigidTransform(rotation=np.eye(3), translation=[0, 0, self.table_mm]),
+            world_from_object=RigidTransform(
+                rotation=np.eye(3), translation=[0, 0, self.table_mm + self.lift_mm]
+            ),
             surroundings=surroundings,
         )
 
@@ -226,7 +230,8 @@ def wide_depth(camera_size: tuple[int, int] = (640, 512)) -> Preset:
         name="wide-depth",
     )
     return Preset(name="wide-depth", about="depths of 400 to 700 mm, field 300 mm", rig=rig,
-                  period_px=16.0, reduced_bits=4, diameter_mm=240.0, height_mm=300.0)  # fmt: skip
+                  period_px=16.0, reduced_bits=4, diameter_mm=240.0, height_mm=300.0,
+                  lift_mm=120.0)  # fmt: skip
 
 
 def face(camera_size: tuple[int, int] = (640, 512)) -> Preset:
