@@ -20,7 +20,7 @@ from fringe3d.pipeline import Measurement
 ACCEPTED = "#e8e8e8"
 REASON_COLORS = (
     "#d62728", "#30343b", "#9467bd", "#8c564b", "#e377c2", "#ff7f0e", "#ffdd00",
-    "#17becf", "#2ca02c", "#1f77b4", "#98df8a", "#bcbd22", "#ff9896", "#b8c4d0",
+    "#17becf", "#2ca02c", "#1f77b4", "#98df8a", "#bcbd22", "#ff9896", "#b8c4d0", "#5b4bb5",
 )  # fmt: skip
 MAX_PANEL_PX = 900
 """Maps are thinned to about this size; nobody sees more in one panel."""
