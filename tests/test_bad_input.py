@@ -1280,7 +1280,7 @@ class Breakdown:
 
 FULL_DISK = OSError(errno.ENOSPC, "No space left on device")
 BREAKDOWNS = [
-    Breakdown("fringe3d.io.recording.read_image", KeyboardInterrupt(), 130, "nothing was written"),
+    Breakdown("fringe3d.io.images.read_image", KeyboardInterrupt(), 130, "nothing was written"),
     Breakdown("fringe3d.pipeline.triangulate", KeyboardInterrupt(), 130, "nothing was written"),
     Breakdown("fringe3d.report.folder.write_ply", KeyboardInterrupt(), 130, "nothing was written"),
     Breakdown(
