@@ -452,6 +452,7 @@ class Problem:
         *,
         holes: int = 0,
         label_step: int = 1,
+        without_orders: int = 0,
     ) -> None:
         rng = np.random.default_rng(seed)
         # A slope of 1.9 rad a pixel with a few bends: the phase wraps every third pixel.
@@ -472,6 +473,8 @@ class Problem:
         self.costs = (rng.integers(0, 6 * UNIT, (n, n_labels)) / UNIT).astype(np.float32)
         short = rng.random(n) < 0.3
         self.costs[short, -1], self.orders[short, -1] = FAR, NO_ORDER
+        bare = rng.choice(n, without_orders, replace=False)
+        self.costs[bare], self.orders[bare], self.first[bare] = FAR, NO_ORDER, 0
         self.shape = shape
 
     def aggregated(self) -> NDArray[np.float64]:
@@ -514,7 +517,7 @@ class Problem:
         """Return the least cost of a path that ends here with each order, not normalised."""
         i, there = self.pixel(here), (here[0] - step[0], here[1] - step[1])
         own = {a: float(self.costs[i, a]) for a in self.labels(i)}
-        if self.pixel(there) < 0:
+        if self.pixel(there) < 0 or not self.labels(self.pixel(there)):
             return own
         former = self.path(there, step)
         least = min(former.values())
@@ -534,16 +537,22 @@ class Problem:
         return max(float(np.exp(-((bend / BEND_RAD) ** 2))), LEAST_PART)
 
 
-@pytest.mark.parametrize(("shape", "holes"), [((3, 3), 0), ((3, 4), 1), ((4, 5), 3)])
+@pytest.mark.parametrize(
+    ("shape", "holes", "without_orders"),
+    [((3, 3), 0, 0), ((3, 4), 1, 0), ((4, 5), 3, 0), ((3, 5), 0, 2), ((1, 6), 0, 1)],
+)
 @pytest.mark.parametrize(("seed", "label_step"), [(0, 1), (1, 1), (2, 1), (3, 2), (4, 3)])
 def test_path_costs_equal_the_recursion(
-    shape: tuple[int, int], holes: int, seed: int, label_step: int
+    shape: tuple[int, int], holes: int, without_orders: int, seed: int, label_step: int
 ) -> None:
-    problem = Problem(shape, 3, seed, holes=holes, label_step=label_step)
+    """A pixel that lists no order at all ends a path, as a hole does."""
+    problem = Problem(
+        shape, 3, seed, holes=holes, label_step=label_step, without_orders=without_orders
+    )
     result = problem.aggregated()
     for here in ((y, x) for y in range(shape[0]) for x in range(shape[1])):
         i = problem.pixel(here)
-        if i < 0:
+        if i < 0 or not problem.labels(i):
             continue
         paths = [problem.path(here, (y, x)) for y, x in ALL_WAYS]
         expected = np.array([
@@ -580,15 +589,18 @@ def test_energy_of_a_row_is_the_exact_least(seed: int) -> None:
 
 
 def test_energy_does_not_depend_on_the_number_of_threads() -> None:
-    """Bit for bit. Says nothing where the machine has one core only."""
+    """Bit for bit."""
+    if numba.config.NUMBA_NUM_THREADS < 2:
+        pytest.skip("one processor")
     problem = Problem((60, 80), 5, 1, holes=300)
-    expected = problem.aggregated()
-    before = numba.get_num_threads()
+    before, found = numba.get_num_threads(), []
     try:
-        numba.set_num_threads(1)
-        np.testing.assert_array_equal(problem.aggregated(), expected)
+        for n_threads in (1, 2):
+            numba.set_num_threads(n_threads)
+            found.append(problem.aggregated())
     finally:
         numba.set_num_threads(before)
+    np.testing.assert_array_equal(*found)
 
 
 def test_phase_that_wraps_is_continuous() -> None:

@@ -8,6 +8,8 @@ from pathlib import Path
 
 STAMP = "kernels.sha256"
 MARK = b"njit"
+CONSTANTS = "model"
+"""Folder of the constants that are compiled into code."""
 
 
 def forget_stale_kernels(package: Path, /) -> None:
@@ -23,10 +25,11 @@ def forget_stale_kernels(package: Path, /) -> None:
     digest = hashlib.sha256()
     for source in sorted(package.rglob("*.py")):
         text = source.read_bytes()
-        if MARK in text:
+        is_private = source.name.startswith("_")  # what helps to compile
+        if is_private or source.parent.name == CONSTANTS or MARK in text:
             digest.update(source.name.encode() + text)
     stamp = package / "__pycache__" / STAMP
-    with suppress(OSError):  # nothing is kept where nothing can be written
+    with suppress(OSError):  # where nothing can be written Numba keeps its code elsewhere
         if stamp.exists() and stamp.read_text() == digest.hexdigest():
             return
         for kept in package.rglob("__pycache__/*.nb[ci]"):

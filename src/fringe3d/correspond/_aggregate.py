@@ -111,11 +111,13 @@ def _sweep(sign, phase, index, first, label_step, jumps, costs, total):  # type:
                 dy, dx = WAYS[way]
                 y, x = row - sign * dy, col - sign * dx
                 j = index[y, x] if 0 <= y < n_rows and 0 <= x < n_cols else -1
+                parity = (line - dy) % 2
+                if j >= 0 and leasts[parity, way, x] >= FAR:
+                    j = -1  # it has no order at all: the path starts anew
                 to = ((line % 2) * 4 + way) * n_cols + col
                 same, above, below = 0, 0, 0
                 jump, step, least = U16(0), U16(0), U16(0)
                 if j >= 0:
-                    parity = (line - dy) % 2
                     turns = np.rint((phase[row, col] - phase[y, x]) * TURNS_PER_RAD)
                     gap = first[i] + int(turns) - first[j]
                     middle = ((parity * 4 + way) * n_cols + x) * width + n_labels
@@ -165,7 +167,7 @@ def write_own_costs(costs, extras, is_label, largest, own):  # type: ignore[no-u
             if is_label[i, a]:
                 cost = hidden if math.isnan(costs[i, a]) else min(costs[i, a] / 2, most)
                 cost = min(cost + min(extras[i, a] / 2, most_extra), most_in_all)
-                own[i, a] = U16(UNIT * cost + 0.5)
+                own[i, a] = U16(min(UNIT * cost + 0.5, FAR - 1))
 
 
 @njit(cache=True, parallel=True, error_model="numpy")

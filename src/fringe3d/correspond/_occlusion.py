@@ -79,6 +79,8 @@ def _faces_away(i, along, across, join_mm):  # type: ignore[no-untyped-def]
 def _way_behind(at, own, first, nearest, margin_px):  # type: ignore[no-untyped-def]
     """Return by how much a sample lies behind what is nearest there, or within the margin."""
     cell = (at - first) * CELLS
+    if not 0 <= cell <= len(nearest) - 1:
+        return -np.inf  # continued beyond the border of what C1 sees: nothing stands there
     low, high = math.floor(cell), math.ceil(cell)
     if margin_px == 0:
         return own - max(nearest[low], nearest[high])

@@ -121,7 +121,9 @@ def find_range(spans, guard, class1, period, phase1, class_of_order, first_order
         while lowest <= highest and class_of_order[highest - first_order] != class1[i]:
             highest -= 1
         found[i, 0], found[i, 1] = lowest, highest
-        inside[i, 0], inside[i, 1] = _order_range(inner[i], guard[i], period, turns)
+        lowest, highest = _order_range(inner[i], guard[i], period, turns)
+        inside[i, 0] = max(lowest, first_order)
+        inside[i, 1] = min(highest, first_order + len(class_of_order) - 1)
 
 
 @njit(cache=True, parallel=True, error_model="numpy")

@@ -61,7 +61,7 @@ def hidden_from(
     Only differences between neighbours count, so an error of the calibration, which is smooth,
     does not matter. C1 must see the surface that hides: what is hidden from both stays unknown.
     """
-    if not np.isfinite(depths_mm).any():
+    if min(depths_mm.shape) < 2 or not np.isfinite(depths_mm).any():
         return np.zeros(depths_mm.shape, bool)
     noise = BEHIND_SIGMA * np.sqrt(2) * noise_mm
     _, directions = grid_rays(camera1)

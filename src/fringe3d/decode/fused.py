@@ -86,7 +86,7 @@ def decode_set(
     )
     if numbering is None:
         return DecodedSet(wrapped, None)
-    return DecodedSet(wrapped, _phase_map(wrapped, maps, numbering, n_corrected))
+    return DecodedSet(wrapped, _phase_map(wrapped, fit, maps, numbering, n_corrected))
 
 
 def _signed_phase(stack: ImageStack, fringe_set: FringeSet, fit: FringeFit) -> NDArray[np.float32]:
@@ -220,7 +220,11 @@ def _one_order(first_order: int, rejection: NDArray[np.uint16]) -> NDArray[np.in
 
 
 def _phase_map(
-    wrapped: WrappedPhaseMap, maps: _fused.Maps, numbering: Numbering, n_mended: int
+    wrapped: WrappedPhaseMap,
+    fit: FringeFit,
+    maps: _fused.Maps,
+    numbering: Numbering,
+    n_mended: int,
 ) -> PhaseMap:
     classes, order = numbering.classes, maps.order
     if not len(order):
@@ -231,7 +235,7 @@ def _phase_map(
         order_class=order,
         class_of_order=classes.class_of_order,
         first_order=classes.first_order,
-        phase_std=deferred(maps.phase.shape, lambda: wrapped.phase_std),
+        phase_std=deferred(maps.phase.shape, partial(fit.phase_std, maps.offset, maps.modulation)),
         offset=maps.offset,
         modulation=maps.modulation,
         rejection=maps.rejection,

@@ -151,7 +151,8 @@ def sheet_crossing(
     depths = np.empty(len(directions))
     cross_all(
         to_projector.apply(origin), to_projector.rotation, np.ascontiguousarray(directions),
-        np.ascontiguousarray(position_px, np.float64), lens_of(projector),
+        np.broadcast_to(np.asarray(position_px, np.float64), depths.shape).copy(),
+        lens_of(projector),
         np.array([np.cos(angle), np.sin(angle)]), depths,
     )  # fmt: skip
     return depths

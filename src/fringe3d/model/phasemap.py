@@ -56,11 +56,13 @@ class _Maps:
             raise ValueError(f"phase map: expected maps (row, col) of one shape, found {shapes}")
 
     def __getattr__(self, name: str) -> Any:
-        if name == "_later" or name not in self._later:
-            raise AttributeError(f"{type(self).__name__} has no attribute '{name}'")
-        array = self._later[name].compute()
+        later = None if name == "_later" else self._later.get(name)
+        if later is None:  # or another thread has computed it just now
+            return object.__getattribute__(self, name)
+        array = later.compute()
         array.setflags(write=False)
         object.__setattr__(self, name, array)
+        self._later.pop(name, None)  # and with it what it was computed from
         return array
 
 
