@@ -49,6 +49,12 @@ N_SURFACES, LEAST_SURFACE = 2, 0.03
 of them tells of the bias is then carried to all."""
 
 LEAST_WEIGHT = 1e-4
+
+DOUBT = 4.0
+"""By which the evidence between solutions is divided where a single recording decides. Thousands of
+residuals share the errors of optics and calibration: a wrong solution has been seen to win by 4
+half squared deviations."""
+
 SAME_PART = 0.995
 
 MOST_PHASE_STEP = 1.5
@@ -93,13 +99,20 @@ class Rivals:
         apart = np.abs(best - second)[(best != second) & (best != NO_ORDER) & (second != NO_ORDER)]
         return int(np.median(apart)) if len(apart) else 0
 
-    def agreement(self, shape: tuple[int, int], /, *, number: int = 0) -> NDArray[np.float64]:
-        """Return the weight of the solutions whose order is that of the best one, (row, col)."""
+    def agreement(
+        self, shape: tuple[int, int], /, *, number: int = 0, doubt: float = 1.0
+    ) -> NDArray[np.float64]:
+        """Return the weight of the solutions whose order is that of the best one, (row, col).
+
+        `doubt` divides the evidence that tells the solutions apart.
+        """
         task, best = self.tasks[number], self.solutions[0].orders[number]
+        weights = self.weights ** (1 / doubt)
+        weights /= weights.sum()
         coarse = np.ones(task.valid.shape)
         coarse[task.valid] = sum(
             weight * (solution.orders[number] == best)
-            for weight, solution in zip(self.weights, self.solutions, strict=True)
+            for weight, solution in zip(weights, self.solutions, strict=True)
         )
         if task.valid.any():  # a cell whose sampled pixel is rejected follows the nearest one
             steps = [s.step for s in task.grid]
