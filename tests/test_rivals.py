@@ -294,6 +294,10 @@ def test_agreement_is_the_weight_of_the_same_order() -> None:
     # In a hole it is that of the nearest one: there are pixels whose sampled neighbour is dark.
     assert found[50, 50] == pytest.approx(whole[39 // 3, 50 // 2])
     assert rival.best is rival.solutions[0].bias
+    # Evidence halved: odds of 0.6 to 0.3 and 0.1 become those of their square roots.
+    roots = np.sqrt([0.6, 0.3, 0.1])
+    doubted = rival.agreement(shape, doubt=2.0)
+    assert doubted[at[1, 1], at[1, 0]] == pytest.approx((roots[0] + roots[2]) / roots.sum())
 
 
 def test_agreement_is_that_of_the_numbered_scan() -> None:

@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from fringe3d.correspond import _orders
-from fringe3d.correspond.surfaces import made_whole
+from fringe3d.correspond.surfaces import made_whole, no_surer_than_most
 from fringe3d.correspond.weighing import Candidates, Choice
 from fringe3d.model import NO_ORDER
 
@@ -60,6 +60,19 @@ def off_of(task: Any, turns: Floats, chosen: Choice) -> NDArray[np.int64]:
     off = np.full(task.valid.shape, 99)
     off[task.valid] = chosen.order - true[task.valid]
     return np.asarray(off, np.int64)
+
+
+def test_no_patch_of_a_surface_is_surer_than_most_of_it() -> None:
+    """The step between two surfaces divides them; so does a patch of other orders."""
+    two = FLAT + np.where(COLS < 30, 0.0, 1.4)
+    task = task_of(two)
+    chosen = choice_of(task, two, 0)
+    certainty = np.where(PATCH, 0.99, 0.6)
+    certainty[COLS < 30] = 0.8
+    found = no_surer_than_most(task, chosen, certainty.ravel()).reshape(SHAPE)
+    np.testing.assert_array_equal(found, np.where(COLS < 30, 0.8, 0.6))
+    lone = np.where(PATCH, 0.2, 0.9).ravel()
+    np.testing.assert_array_equal(no_surer_than_most(task, chosen, lone), lone)
 
 
 @pytest.mark.parametrize("wrong", [-2, -1, 1, 3])

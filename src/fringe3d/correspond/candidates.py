@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from fringe3d.correspond._orders import DIFFERENCE, RATIO
 from fringe3d.correspond.both_ways import agrees_with_c2, swapped, swapped_bias
 from fringe3d.correspond.solving import DOUBT, coarse_stride, rivals, solve
+from fringe3d.correspond.surfaces import no_surer_than_most
 from fringe3d.correspond.visibility import is_hidden, is_outshone, takes_foreign_light
 from fringe3d.correspond.weighing import (
     TWO_PI,
@@ -145,6 +146,7 @@ def choose_orders(
     if rival is not None:
         doubt = DOUBT if witnesses.previous_turns is None else 1.0  # a former frame has decided
         agreement = rival.agreement(views.phases1.phase.shape, doubt=doubt)[task.valid]
+        agreement = no_surer_than_most(task, chosen, agreement)
         chosen = replace(chosen, probability=chosen.probability * agreement,
                          outside=chosen.outside * agreement)  # fmt: skip
     if not search:  # a code leaves so few orders that what fits outside is outside

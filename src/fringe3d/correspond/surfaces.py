@@ -123,6 +123,23 @@ def made_whole(task: Task, chosen: Choice, /, *, doubts: bool = True) -> Choice:
     return replace(chosen, place=places, probability=probability)
 
 
+def no_surer_than_most(
+    task: Task, chosen: Choice, certainty: NDArray[np.float64], /
+) -> NDArray[np.float64]:
+    """Return certainties (n,) that are no higher than that of most of the pixel's surface.
+
+    Solutions differ by whole surfaces: where two of them agree on a patch of one of which they
+    leave most open, both may be wrong there.
+    """
+    known = chosen.order != NO_ORDER
+    whole = certainty.copy()
+    if known.any():
+        part = surfaces(task, chosen.order, known, smooth=True)
+        typical = ndimage.median(certainty[known], part, np.arange(int(part.max()) + 1))
+        whole[known] = np.fmin(certainty[known], typical[part])
+    return whole
+
+
 def _against(
     chosen: Choice, index: NDArray[np.intp], place: NDArray[np.intp] | None = None
 ) -> NDArray[np.float64]:
