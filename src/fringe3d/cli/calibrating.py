@@ -21,7 +21,11 @@ if TYPE_CHECKING:
     from fringe3d.calibrate import LitPoints
     from fringe3d.health import Finding
 
-calibrate = App(name="calibrate", help="Calibrate a rig from its own measurements.")
+calibrate = App(
+    name="calibrate",
+    help="Calibrate a rig: FOLDER with recordings of a board in several poses, or a COMMAND that "
+    "needs no target. Example: fringe3d calibrate poses --board chessboard:9x7:20mm --out rig.toml",
+)
 app.command(calibrate)
 
 MARK = "; projector from "

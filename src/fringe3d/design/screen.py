@@ -132,4 +132,5 @@ def median_sigma(sight: Sight, rho: Array, quality: Quality, /) -> Array:
     along = sight.d1 / np.linalg.norm(sight.d1, axis=-1, keepdims=True)
     slope = np.abs((sight.gradient * along).sum(axis=-1) * (1 - rho))
     noise = quality.phase_sigma * np.sqrt(1 + INTERPOLATION_WEIGHT)
-    return np.asarray(noise / np.median(slope, axis=-1))
+    with np.errstate(divide="ignore"):  # fringes along the epipolar lines mark no point
+        return np.asarray(noise / np.median(slope, axis=-1))
