@@ -13,7 +13,12 @@ from fringe3d.health.geometry import (
     check_yield,
 )
 from fringe3d.health.recording import check_files
-from fringe3d.health.response import axis_name, check_phases, period_disagreement
+from fringe3d.health.response import (
+    axis_name,
+    check_course,
+    check_phases,
+    period_disagreement,
+)
 from fringe3d.health.texture import check_texture
 
 __all__ = [
@@ -21,6 +26,7 @@ __all__ = [
     "axis_name",
     "check_ambiguity",
     "check_bias",
+    "check_course",
     "check_epipolar",
     "check_evidence",
     "check_files",

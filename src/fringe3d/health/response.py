@@ -17,6 +17,10 @@ TWO_PI = 2 * np.pi
 MENDED_WARNING, MENDED_ERROR = 0.08, 0.2
 """Sharp codes need 1 to 2 %; phases in the wrong direction or half a period off, half."""
 
+COURSE_PERIODS, LEAST_PERIODS, LEAST_STEPS, LEAST_COURSE = 3, 4, 1000, 0.5
+"""Over so many periods the code alone tells how the phase runs; three quarters of at least so many
+pixels must agree on each way."""
+
 GAMMA_DISAGREEMENT_PX = 0.3
 GAMMA_EXPLAINED = 0.4
 HARMONIC_NOTABLE = 0.05
@@ -35,6 +39,7 @@ def check_phases(cameras: Sequence[CameraPhases], /) -> list[Finding]:
     for camera in cameras:
         for direction in camera.directions:
             findings += _code_findings(direction.main)
+            findings += check_course(direction.main)
         findings += _period_findings(camera)
         findings += _harmonic_findings(camera)
         findings += _ripple_findings(camera)
@@ -58,6 +63,52 @@ def _code_findings(phases: PhaseMap) -> list[Finding]:
         "first_coordinate and the order of the steps in the sequence"
     )
     return [Finding(level, name, share, f"{text}; {cure}")]
+
+
+def check_course(phases: PhaseMap, /) -> list[Finding]:
+    """Judge whether the phase runs the way that the code runs.
+
+    Where shift direction and phase offset are both wrong, a code of half periods finds nothing to
+    correct: the phase runs backwards within each of its cells, and the surface has stripes.
+
+    Parameters
+    ----------
+    phases : PhaseMap; a reduced code says nothing
+
+    Returns
+    -------
+    list of Finding; an error, or none
+    """
+    if not phases.is_absolute or len(phases.class_of_order) < LEAST_PERIODS:
+        return []
+    turns = phases.absolute_phase / TWO_PI
+    near, far = max((_courses(t) for t in (turns, turns.T)), key=lambda c: abs(c[0]))
+    if not (near * far < 0 and abs(near) > LEAST_COURSE and abs(far) > LEAST_COURSE):
+        return []
+    where = f"camera '{phases.device_name}', {axis_name(phases.angle)}"
+    text = (
+        f"{where}: the phase runs against the code: it falls between neighbours where the code "
+        "rises. Reverse shift_direction, and change phase_offset_deg by 180"
+    )
+    return [Finding("error", f"{phases.device_name}_{axis_name(phases.angle)}_course", near, text)]
+
+
+def _courses(turns: NDArray[np.float64]) -> tuple[float, float]:
+    """Return the part of rising less that of falling pixels, -1 to 1: from one column to the next,
+    wrapped, and over three periods; 0 where too little is known."""
+    step = np.diff(turns, axis=1)
+    step -= np.rint(step)
+    known = step[np.isfinite(step)]
+    if len(known) < LEAST_STEPS or not abs(typical := float(np.median(known))) > 0:
+        return 0.0, 0.0
+    reach = round(COURSE_PERIODS / abs(typical))  # columns
+    if not 0 < reach < turns.shape[1]:
+        return 0.0, 0.0
+    course = turns[:, reach:] - turns[:, :-reach]
+    course = course[np.isfinite(course)]
+    if len(course) < LEAST_STEPS:
+        return 0.0, 0.0
+    return float(np.sign(known).mean()), float(np.sign(course).mean())
 
 
 def period_disagreement(a: PhaseMap, b: PhaseMap, /) -> NDArray[np.float64]:
