@@ -528,6 +528,29 @@ def test_points_outside_the_volume_are_rejected_and_no_others(
     np.testing.assert_array_equal(expected, points.rejection)
 
 
+@pytest.mark.parametrize("middles", [False, True])
+def test_compiled_triangulation_equals_the_plain_one(
+    rig: Rig, stereo: Judged, *, middles: bool
+) -> None:
+    """Of whole pixels and of places between them; with points of all reasons."""
+    matches = stereo.matches
+    if middles:
+        matches = replace(matches, pixels_c1=matches.pixels_c1 + 0.25)
+    residual = np.zeros(matches.rejection.shape, np.float32)
+    residual[::7] = 2.0
+    matches = replace(matches, epipolar_residual_px=residual)
+    low = MeasuringVolume.box([-1e3, -1e3, -1e3], [1e3, 1e3, 2.0])
+    found, plain = (
+        triangulate(matches, *rig.cameras, volume=low, max_epipolar_px=1.0, plain=plain)
+        for plain in (False, True)
+    )
+    np.testing.assert_array_equal(plain.rejection, found.rejection)
+    assert 0 < found.n_points < (matches.rejection == 0).sum()
+    np.testing.assert_allclose(found.points_mm, plain.points_mm, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(found.sigma_mm, plain.sigma_mm, rtol=1e-5)
+    np.testing.assert_allclose(found.skew_mm, plain.skew_mm, rtol=0, atol=1e-9)
+
+
 @pytest.mark.parametrize("method", ["stereo", "projector"])
 def test_cloud_moves_with_the_world(
     method: str, rig: Rig, recording: Recording, phases: list[PhaseMap]

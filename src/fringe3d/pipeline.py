@@ -190,7 +190,9 @@ def measure(
             findings += check_texture(matches, main, main2, camera, other)
             if projector is not None:
                 findings += check_trinocular(points, main, projector)
-        points = remove_repeated(_clean(points, options, main), matches)
+        points = _clean(points, options, main)
+        if main.is_quantised:
+            points = remove_repeated(points, matches)
     result = replace(
         result, matches=matches, points=points, bias=matched.bias, findings=tuple(findings)
     )

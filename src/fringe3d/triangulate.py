@@ -3,19 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
+from math import inf
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
 from fringe3d.geometry import closest_depths, pixel_grid, project, rays
-from fringe3d.geometry.components import connected
+from fringe3d.geometry.components import patch_sizes
+from fringe3d.geometry.meeting import meet
 from fringe3d.model import Correspondences, Device, MeasuringVolume, PointMap, Rejection
 from fringe3d.model.rejection import reject
 
 DEPTH_STEP = 1e-4
-"""Part of the depth by which a point is moved to find its speed in the other image."""
+"""Part of the depth by which a point is moved to find its speed in the other image; as in
+`geometry.meeting`."""
+
+GAP_ROWS = 256
+"""Rows from which the typical distance of neighbours is taken."""
 
 MAX_SIGMA_OF_DEPTH = 0.02
 """Part of the depth: a point less certain than 2 % of its distance is no measurement."""
@@ -29,6 +35,7 @@ def triangulate(
     *,
     volume: MeasuringVolume | None = None,
     max_epipolar_px: float | None = None,
+    plain: bool = False,
 ) -> PointMap:
     """Intersect the viewing rays of homologous points.
 
@@ -42,6 +49,7 @@ def triangulate(
     volume : MeasuringVolume or None; points outside are rejected as OUTSIDE_VOLUME
     max_epipolar_px : float or None, px; larger distances of the point in the other device from
         the epipolar curve are rejected as RAYS_MISS
+    plain : bool; compute with NumPy alone: slow, and the same within rounding. For comparison.
 
     Returns
     -------
@@ -51,6 +59,22 @@ def triangulate(
     -----
     ``sigma = sigma_px / |d pixel / d t|``, t the distance along the viewing ray.
     """
+    if plain:
+        return _triangulate_plainly(matches, camera, other, volume, max_epipolar_px)
+    limit = inf if max_epipolar_px is None else max_epipolar_px
+    met = meet(matches, camera, other, volume, max_epipolar_px=limit,
+               max_sigma_part=MAX_SIGMA_OF_DEPTH)  # fmt: skip
+    return PointMap(**met._asdict())
+
+
+def _triangulate_plainly(
+    matches: Correspondences,
+    camera: Device,
+    other: Device,
+    volume: MeasuringVolume | None,
+    max_epipolar_px: float | None,
+) -> PointMap:
+    """Do what `geometry.meeting.meet` does, step by step."""
     valid = matches.rejection == 0
     origin, directions = rays(camera, matches.pixels_c1[valid])
     origin2, directions2 = rays(other, matches.pixels[valid])
@@ -113,19 +137,8 @@ def remove_isolated(
     min_pixels : int
     reach_px : int, >= 1; how far apart, in rows and columns, neighbours may be
     """
-    index = np.flatnonzero(points.is_valid)
-    number = np.full(points.rejection.shape, -1)
-    number.ravel()[index] = np.arange(len(index))
-    pairs = []
-    for here, there in _neighbours(reach_px):
-        gap = np.linalg.norm(points.points_mm[here] - points.points_mm[there], axis=-1)
-        joined = gap <= max_gap_mm
-        pairs.append(np.stack([number[here][joined], number[there][joined]]))
-    start, end = np.concatenate(pairs, axis=1)
-    labels = connected(start, end, len(index))
-    small = np.zeros(points.rejection.size, bool)
-    small[index] = np.bincount(labels)[labels] < min_pixels
-    return _without(points, small.reshape(points.rejection.shape), Rejection.ISOLATED)
+    sizes = patch_sizes(points.points_mm, max_gap_mm, reach_px)
+    return _without(points, sizes < min_pixels, Rejection.ISOLATED)
 
 
 def remove_edges(points: PointMap, /, *, max_gap_mm: float) -> PointMap:
@@ -174,8 +187,8 @@ def remove_repeated(points: PointMap, matches: Correspondences, /) -> PointMap:
 
 def typical_gap_mm(points: PointMap, /) -> float:
     """Return the median distance between points of neighbouring pixels, mm; NaN without any."""
-    here, there = next(_neighbours(1))
-    gaps = np.linalg.norm(points.points_mm[here] - points.points_mm[there], axis=-1)
+    rows = slice(None, None, max(1, len(points.points_mm) // GAP_ROWS))
+    gaps = np.linalg.norm(np.diff(points.points_mm[rows], axis=1), axis=-1)
     gaps = gaps[gaps > 0]  # pixels that share a point have no gap
     return float(np.median(gaps)) if len(gaps) else float("nan")
 
@@ -198,13 +211,20 @@ def _neighbours(reach_px: int) -> Iterator[tuple[Window, Window]]:
 
 
 def _without(points: PointMap, where: NDArray[np.bool_], reason: Rejection) -> PointMap:
+    bad = (points.rejection == 0) & where
+    if not bad.any():
+        return points
     rejection = points.rejection.copy()
-    reject(rejection, (rejection == 0) & where, reason)
-    bad = rejection != 0
-    return replace(
-        points,
-        points_mm=np.where(bad[..., None], np.nan, points.points_mm),
-        sigma_mm=np.where(bad, np.nan, points.sigma_mm),
-        skew_mm=np.where(bad, np.nan, points.skew_mm),
+    reject(rejection, bad, reason)
+    return PointMap(
+        points_mm=_emptied(points.points_mm, bad),
+        sigma_mm=_emptied(points.sigma_mm, bad),
+        skew_mm=_emptied(points.skew_mm, bad),
         rejection=rejection,
     )
+
+
+def _emptied(image: NDArray[Any], where: NDArray[np.bool_]) -> NDArray[Any]:
+    emptied = image.copy()
+    emptied[where] = np.nan
+    return emptied

@@ -135,17 +135,19 @@ def fringe_crossing(phases2: PhaseMap, camera1: Device, camera2: Device, /) -> t
         between fringe and curve: 1 where they cross squarely, 0 where they are parallel and no
         point can be found. NaN where nothing is decoded.
     """
-    phase = phases2.phase.astype(np.float64)
-    dx, dy = np.full_like(phase, np.nan), np.full_like(phase, np.nan)
-    dx[:, 1:-1], dy[1:-1] = phase[:, 2:] - phase[:, :-2], phase[2:] - phase[:-2]
-    gradient = np.stack([dx, dy], axis=-1)
+    phase = phases2.phase
+    inner = np.isfinite(phase[1:-1, 1:-1])
+    index = np.flatnonzero(inner)
+    rows, cols = np.unravel_index(index[:: max(1, len(index) // SAMPLE) | 1], inner.shape)
+    right, below = phase[rows + 1, cols + 2], phase[rows + 2, cols + 1]
+    left, above = phase[rows + 1, cols], phase[rows, cols + 1]
+    gradient = np.stack([right - left, below - above], axis=-1).astype(np.float64)
     gradient = (gradient - 2 * np.pi * np.rint(gradient / (2 * np.pi))) / 2
-    places = np.argwhere(np.isfinite(gradient).all(axis=-1))
-    places = places[:: max(1, len(places) // SAMPLE)]
-    if not len(places):
+    known = np.isfinite(gradient).all(axis=-1)
+    if not known.any():
         return float("nan"), float("nan")
-    pixels = places[:, ::-1].astype(np.float64)
-    gradient = gradient[places[:, 0], places[:, 1]]
+    gradient = gradient[known]
+    pixels = np.stack([cols + 1.0, rows + 1.0], axis=-1)[known]
     origin2, directions2 = rays(camera2, pixels)
     # Any depth will do: the point moves along the same line.
     depth = 10 * float(np.linalg.norm(origin2 - camera1.center_world))

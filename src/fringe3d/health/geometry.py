@@ -43,8 +43,11 @@ AMBIGUOUS_WARNING, AMBIGUOUS_REFUSED = 0.05, 0.4
 
 def check_epipolar(matches: Correspondences, /) -> list[Finding]:
     """Judge the distance of decoded projector points from their epipolar curves."""
+    residual = matches.epipolar_residual_px
+    places = np.argwhere(np.isfinite(residual))
     return _residual_findings(
-        matches.epipolar_residual_px,
+        residual[places[:, 0], places[:, 1]].astype(np.float64),
+        places,
         "epipolar_residual_px",
         f"epipolar residual in '{matches.device_name}'",
     )
@@ -57,29 +60,37 @@ def check_trinocular(points: PointMap, phases: PhaseMap, projector: Device, /) -
     projector where their phase says. A code that leaves several orders is compared by its
     wrapped phase.
     """
-    good = points.is_valid
-    turns = phases.phase[good] / TWO_PI
+    index = np.flatnonzero(points.rejection == 0)
+    good = np.unravel_index(_part_of(index, SAMPLE), points.rejection.shape)
     pixels = project(projector, points.points_mm[good])
     position = across(phases.angle, pixels[:, 0], pixels[:, 1])
-    residual = position / phases.period_px - turns
+    residual = position / phases.period_px - phases.phase[good] / TWO_PI
     if phases.is_absolute:
         residual -= phases.order_class[good]
     else:
         residual -= np.rint(residual)
-    residual_map = np.full(good.shape, np.nan)
-    residual_map[good] = residual * phases.period_px
-    text = f"trinocular residual (points of two cameras in '{projector.name}')"
-    return _residual_findings(residual_map, "trinocular_residual_px", text)
+    known = np.isfinite(residual)
+    return _residual_findings(
+        residual[known] * phases.period_px,
+        np.column_stack(good)[known],
+        "trinocular_residual_px",
+        f"trinocular residual (points of two cameras in '{projector.name}')",
+    )
 
 
-def _residual_findings(residual_map: NDArray[np.floating], name: str, what: str) -> list[Finding]:
-    """Judge a map of residuals, projector px, that vanish for a perfect calibration."""
-    good = np.isfinite(residual_map)
-    if not good.any():
+def _part_of(index: NDArray[np.intp], n: int) -> NDArray[np.intp]:
+    """Return about n of the pixels; an odd step does not stay on the same columns."""
+    return index[:: max(1, len(index) // n) | 1]
+
+
+def _residual_findings(
+    residual: NDArray[np.float64], places: NDArray[np.intp], name: str, what: str
+) -> list[Finding]:
+    """Judge residuals at places (n, 2), projector px, that vanish for a perfect calibration."""
+    if not len(residual):
         return []
-    residual = residual_map[good].astype(np.float64)
     typical = float(np.median(np.abs(residual)))
-    noise = float(np.median(np.abs(residual - _smooth_part(residual, np.argwhere(good)))))
+    noise = float(np.median(np.abs(residual - _smooth_part(residual, places))))
     text = (
         f"{what}: median |r| {typical:.2f} px, median r {float(np.median(residual)):+.2f} px; "
         f"noise {noise:.2f} px, the rest is a smooth pattern of the calibration"

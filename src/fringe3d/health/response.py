@@ -32,6 +32,9 @@ MIN_RIPPLE_PIXELS, MIN_RIPPLE_PERIODS = 10_000, 8
 
 SAMPLE = 40_000
 
+LINES = 128
+"""Rows and columns on which the course of the phase is looked at; neighbours tell the same."""
+
 
 def check_phases(cameras: Sequence[CameraPhases], /) -> list[Finding]:
     """Compare periods with each other, and look for harmonics."""
@@ -81,8 +84,10 @@ def check_course(phases: PhaseMap, /) -> list[Finding]:
     """
     if not phases.is_absolute or len(phases.class_of_order) < LEAST_PERIODS:
         return []
-    turns = phases.absolute_phase / TWO_PI
-    near, far = max((_courses(t) for t in (turns, turns.T)), key=lambda c: abs(c[0]))
+    rows, cols = (slice(None, None, max(1, n // LINES)) for n in phases.phase.shape)
+    along_rows = _courses(phases.phase[rows], phases.order_class[rows])
+    along_cols = _courses(phases.phase[:, cols].T, phases.order_class[:, cols].T)
+    near, far = max(along_rows, along_cols, key=lambda c: abs(c[0]))
     if not (near * far < 0 and abs(near) > LEAST_COURSE and abs(far) > LEAST_COURSE):
         return []
     where = f"camera '{phases.device_name}', {axis_name(phases.angle)}"
@@ -93,9 +98,10 @@ def check_course(phases: PhaseMap, /) -> list[Finding]:
     return [Finding("error", f"{phases.device_name}_{axis_name(phases.angle)}_course", near, text)]
 
 
-def _courses(turns: NDArray[np.float64]) -> tuple[float, float]:
+def _courses(phase: NDArray[np.float32], order: NDArray[np.int32]) -> tuple[float, float]:
     """Return the part of rising less that of falling pixels, -1 to 1: from one column to the next,
     wrapped, and over three periods; 0 where too little is known."""
+    turns = phase / TWO_PI + order.astype(np.float64)
     step = np.diff(turns, axis=1)
     step -= np.rint(step)
     known = step[np.isfinite(step)]
@@ -274,11 +280,19 @@ def _periods_seen(main: PhaseMap, period_px: float) -> float:
     """Return how many periods the object spans; those on the projector if that is not known."""
     if not main.is_absolute:
         return len(main.class_of_order) * main.period_px / period_px
-    position = main.position_px[main.rejection == 0]
-    if not len(position):
+    known = _part_of(main.phase)
+    if not len(known):
         return 0.0
-    low, high = np.percentile(position, [5, 95])
-    return float(high - low) / period_px
+    turns = main.phase.ravel()[known] / TWO_PI + main.order_class.ravel()[known].astype(np.float64)
+    low, high = np.percentile(turns, [5, 95])
+    return float(high - low) * main.period_px / period_px
+
+
+def _part_of(phase: NDArray[np.float32]) -> NDArray[np.intp]:
+    """Return some of the pixels that have a phase; an odd step does not stay on the same columns
+    of a fringe."""
+    known = np.flatnonzero(np.isfinite(phase))
+    return known[:: max(1, len(known) // SAMPLE) | 1]
 
 
 def _ripple_findings(camera: CameraPhases) -> list[Finding]:
@@ -322,16 +336,16 @@ def _ripple_rad(direction: DirectionPhases, wrapped: WrappedPhaseMap) -> float:
     """
     is_main = wrapped.period_px == direction.main.period_px
     phase = direction.main.phase if is_main else wrapped.phase
-    phase = phase[np.isfinite(phase)].astype(np.float64)
-    if len(phase) < MIN_RIPPLE_PIXELS:
+    waves = phase.ravel()[_part_of(phase)].astype(np.float64) * wrapped.n_shifts
+    if len(waves) < MIN_RIPPLE_PIXELS:
         return float("nan")
-    n = wrapped.n_shifts
-    return 2 * float(np.abs(np.exp(1j * n * phase).mean())) / n
+    mean = complex(np.cos(waves).mean(), np.sin(waves).mean())
+    return 2 * abs(mean) / wrapped.n_shifts
 
 
 def _sigma_px(phases: PhaseMap) -> float:
-    good = phases.rejection == 0
-    return float(np.median(phases.phase_std[good])) * phases.period_px / TWO_PI
+    good = _part_of(phases.phase)
+    return float(np.median(phases.phase_std.ravel()[good])) * phases.period_px / TWO_PI
 
 
 def axis_name(angle: float, /) -> str:

@@ -35,7 +35,8 @@ class PointMap:
             ("rejection", np.uint16),
         ):
             object.__setattr__(self, name, frozen(getattr(self, name), dtype))
-        if not (np.isfinite(self.points_mm).all(-1) == (self.rejection == 0)).all():
+        x, y, z = np.moveaxis(self.points_mm, -1, 0)
+        if not np.array_equal(np.isfinite(x + y + z), self.rejection == 0):
             raise ValueError("point map: every pixel must have a point or a reason, and not both")
 
     @property
