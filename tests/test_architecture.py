@@ -150,7 +150,8 @@ def test_estimator_and_simulator_are_strangers() -> None:
 def test_private_modules_stay_inside_their_package() -> None:
     # The kernels evaluate the lens model at every step and cannot call back into Python.
     shared = {
-        (f"correspond/{name}.py", "fringe3d.geometry._lens") for name in ("_curves", "_search")
+        (f"correspond/{name}.py", "fringe3d.geometry._lens")
+        for name in ("_curves", "_near", "_search")
     }
     for path in FILES:
         for name in imports(path):

@@ -12,10 +12,10 @@ from fringe3d.correspond import (
     TwoViews,
     Witnesses,
     choose_orders,
-    depths_of_orders,
     fringe_crossing,
     match_both_directions,
     match_cameras,
+    match_near_sheets,
     match_projector,
     place_lost,
 )
@@ -47,7 +47,7 @@ from fringe3d.triangulate import triangulate
 MIN_CROSSING_SINE = 0.05
 """3 degrees between fringes and epipolar lines; sigma is twenty times that of a square crossing."""
 
-SAMPLE_STEP_PX = 8
+SAMPLE_STEP_PX, SAMPLE_ROWS = 8, 64
 
 MAX_TRINOCULAR_PX = 3.0
 """A projector that is further off judges nothing; the search window is half a period."""
@@ -243,15 +243,10 @@ def _match_three(
         together=method != "m3",
         strict=options.strict,
     )
-    # Within a part of a period the wrapped phase alone marks the point.
-    matches = match_cameras(
-        views.phases1.rejecting(chosen.phases.rejection).without_orders(),
-        views.phases2.without_orders(),
-        views.camera1,
-        views.camera2,
-        volume,
-        depths_mm=depths_of_orders(chosen.phases, views.camera1, projector, chosen.half_px),
-    )
+    matches = match_near_sheets(
+        chosen.phases, views.phases2, views.camera1, views.camera2, projector, volume,
+        chosen.half_px,
+    )  # fmt: skip
     if method != "m1":  # M1, the reference, rests on the cameras alone
         matches = place_lost(matches, chosen, views.camera1, views.camera2, projector)
     good = matches.rejection == 0
@@ -278,9 +273,12 @@ def _may_judge(views: TwoViews, projector: Device, volume: MeasuringVolume) -> b
     if not views.phases1.is_absolute:
         return True
     left_out = np.full(views.phases1.rejection.shape, np.uint16(Rejection.NO_MATCH))
-    left_out[::SAMPLE_STEP_PX, ::SAMPLE_STEP_PX] = 0
+    step = max(SAMPLE_STEP_PX, len(left_out) // SAMPLE_ROWS)
+    left_out[::step, ::step] = 0
     sample = views.phases1.rejecting(left_out)
-    matches = match_cameras(sample, views.phases2, views.camera1, views.camera2, volume)
+    matches = match_cameras(
+        sample, views.phases2, views.camera1, views.camera2, volume, beyond=False
+    )
     points = triangulate(matches, views.camera1, views.camera2, volume=volume)
     limit = min(MAX_TRINOCULAR_PX, views.phases1.period_px / 4)
     return all(f.value < limit for f in check_trinocular(points, views.phases1, projector))

@@ -2,10 +2,10 @@
 
 from fringe3d.correspond.both_directions import match_both_directions
 from fringe3d.correspond.candidates import FIT_SIGMA, ChosenOrders, choose_orders
+from fringe3d.correspond.near import match_near_sheets
 from fringe3d.correspond.placement import place_lost
 from fringe3d.correspond.projector import (
     GUARD_PX,
-    depths_of_orders,
     guard_px,
     match_projector,
     resolve_orders,
@@ -26,11 +26,11 @@ __all__ = [
     "Witnesses",
     "choose_orders",
     "coarse_stride",
-    "depths_of_orders",
     "fringe_crossing",
     "guard_px",
     "match_both_directions",
     "match_cameras",
+    "match_near_sheets",
     "match_projector",
     "place_lost",
     "resolve_orders",

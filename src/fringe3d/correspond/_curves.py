@@ -51,7 +51,7 @@ def across(base, along, t, lens, axis):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def _sheet_depth(base, along, w, lens, axis):  # type: ignore[no-untyped-def]
+def sheet_depth(base, along, w, lens, axis):  # type: ignore[no-untyped-def]
     """Return where a viewing ray meets a light sheet; NaN where it does not.
 
     ``t(Phi) = (a - c Phi)/(e Phi - b)`` for the pinhole, then steps with its slope on the exact
@@ -77,7 +77,7 @@ def exact_point(w, along_p, along_2, projector, camera2):  # type: ignore[no-unt
     """Return t, x, y of the point of a ray that the sheet w lights, and their slopes over w."""
     base_p, lens_p, axis = projector
     base_2, lens_2 = camera2
-    t = _sheet_depth(base_p, along_p, w, lens_p, axis)
+    t = sheet_depth(base_p, along_p, w, lens_p, axis)
     step = DEPTH_STEP * t
     per_w = step / (across(base_p, along_p, t + step, lens_p, axis) - w)
     x, y = pixel(base_2, along_2, t, lens_2)

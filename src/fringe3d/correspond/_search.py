@@ -37,6 +37,8 @@ def _difference(x, y, phi1, order1, phase2, order2):  # type: ignore[no-untyped-
     difference, _, _ = phase_difference(x, y, phi1, phase2)
     if math.isnan(difference):
         return np.nan, False
+    if len(order2) == 0:
+        return difference, True
     row, col = int(y), int(x)
     # A neighbour whose phase differs from phi1 by less than half a turn without wrapping lies
     # in the same period as phi1: its order must be order1.
@@ -50,13 +52,13 @@ def _difference(x, y, phi1, order1, phase2, order2):  # type: ignore[no-untyped-
 
 
 @njit(cache=True, error_model="numpy")
-def _second_fits(x, y, i, second):  # type: ignore[no-untyped-def]
+def _second_fits(x, y, second):  # type: ignore[no-untyped-def]
     """Tell whether the phase of a second direction agrees, too, as far as it is known."""
-    phase1, limit, phase2 = second
-    if len(phase1) == 0:
+    phi1, limit, phase2 = second
+    if len(phase2) == 0:
         return True
-    residual, _, _ = phase_difference(x, y, phase1[i], phase2)
-    return not abs(residual) > limit[i]
+    residual, _, _ = phase_difference(x, y, phi1, phase2)
+    return not abs(residual) > limit
 
 
 @njit(cache=True, error_model="numpy")
@@ -68,13 +70,15 @@ def _far_off(x, y, phi1, order1, phase2, order2):  # type: ignore[no-untyped-def
     difference = abs(phase2[row, col] - phi1)
     if math.isnan(difference):
         return False  # a hole of one pixel may hide a crossing
-    if order2[row, col] == order1:  # in the same period, or in the next of the same class
+    if (
+        len(order2) == 0 or order2[row, col] == order1
+    ):  # in the same period, or in the next of the same class
         return min(difference, TWO_PI - difference) > MAX_JUMP
     return TWO_PI - difference > MAX_JUMP  # the pixel lies in the neighbouring period
 
 
 @njit(cache=True, error_model="numpy")
-def _segment(base, along, near, far):  # type: ignore[no-untyped-def]
+def segment(base, along, near, far):  # type: ignore[no-untyped-def]
     """Return the ends of the segment on the undistorted plane of C2, where it is straight.
 
     NaN where it is not wholly in front of C2.
@@ -97,9 +101,12 @@ def _point(s, line, lens2):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def _scan(i, line, n, step_px, phase1, order1, lens2, phase2, order2, second):  # type: ignore[no-untyped-def]
-    """Follow the segment in n steps; return crossings, and place and rise of the first."""
-    phi1, class1 = phase1[i], order1[i]
+def scan(line, n, step_px, phi1, class1, lens2, phase2, order2, second):  # type: ignore[no-untyped-def]
+    """Follow the segment in n steps; return crossings, and place and rise of the first.
+
+    phi1, class1: of C1; order2: empty where any order will do; second = (phase, rad, how far that
+    of C2 may differ, map of C2, empty for none) of another direction.
+    """
     hits, where, rise = 0, 0.0, 0.0
     last_hit, r_before = -1e9, np.nan
     x0, y0, x1, y1 = 0.0, 0.0, 0.0, 0.0
@@ -116,7 +123,7 @@ def _scan(i, line, n, step_px, phase1, order1, lens2, phase2, order2, second):  
             at = (k - 1 + r_before / (r_before - r)) / n
             x, y = _point(at, line, lens2)
             _, same = _difference(x, y, phi1, class1, phase2, order2)
-            if same and _second_fits(x, y, i, second):
+            if same and _second_fits(x, y, second):
                 if hits == 0 or (k - last_hit) * step_px > SAME_POINT_PX:
                     hits += 1
                     where, rise = at, r - r_before
@@ -126,18 +133,18 @@ def _scan(i, line, n, step_px, phase1, order1, lens2, phase2, order2, second):  
 
 
 @njit(cache=True, error_model="numpy")
-def _refine(where, rise, line, n, phi1, order1, lens2, phase2, order2):  # type: ignore[no-untyped-def]
+def refine(where, rise, line, n, phi1, lens2, phase2):  # type: ignore[no-untyped-def]
     """Return the crossing on the exact curve, and the rise of the phase over one step."""
     x, y = _point(where - 0.5 / n, line, lens2)
-    r0, _ = _difference(x, y, phi1, order1, phase2, order2)
+    r0, _, _ = phase_difference(x, y, phi1, phase2)
     x, y = _point(where + 0.5 / n, line, lens2)
-    r1, _ = _difference(x, y, phi1, order1, phase2, order2)
+    r1, _, _ = phase_difference(x, y, phi1, phase2)
     if not math.isnan(r1 - r0):
         rise = r1 - r0
     s, r = where, np.nan
     for _ in range(REFINEMENTS):
         x, y = _point(s, line, lens2)
-        r, _ = _difference(x, y, phi1, order1, phase2, order2)
+        r, _, _ = phase_difference(x, y, phi1, phase2)
         if math.isnan(r) or abs(rise) < MIN_RISE or abs(r) < PHASE_TOLERANCE:
             break
         s = s - r / (rise * n)
@@ -161,20 +168,23 @@ def search(  # type: ignore[no-untyped-def]
     for i in prange(len(phase1)):
         state[i] = NO_VIEW
         found[i, :] = np.nan
-        line = _segment(base, along[i], near[i], far[i])
+        line = segment(base, along[i], near[i], far[i])
         x0, y0 = _point(0.0, line, lens2)
         x1, y1 = _point(1.0, line, lens2)
         length = math.hypot(x1 - x0, y1 - y0)
         if not length < MAX_STEPS * STEP_PX:
             continue
         n = max(2, int(length / STEP_PX) + 1)
-        hits, where, rise = _scan(
-            i, line, n, length / n, phase1, order1, lens2, phase2, order2, second
+        seconds = (np.nan, np.nan, second[2])
+        if len(second[0]) > 0:
+            seconds = (second[0][i], second[1][i], second[2])
+        hits, where, rise = scan(
+            line, n, length / n, phase1[i], order1[i], lens2, phase2, order2, seconds
         )
         if hits != 1:
             state[i] = NONE if hits == 0 else SEVERAL
             continue
-        s, rise = _refine(where, rise, line, n, phase1[i], order1[i], lens2, phase2, order2)
+        s, rise = refine(where, rise, line, n, phase1[i], lens2, phase2)
         found[i, 0], found[i, 1] = _point(s, line, lens2)
         found[i, 2] = rise * n / length
         state[i] = FOUND

@@ -38,7 +38,8 @@ def place_lost(
         and their `sigma_px` is that of phase and bias in C1 and the projector
     """
     lost = (chosen.phases.rejection == 0) & (matches.rejection & LOST != 0)
-    w = chosen.phases.position_px[lost] + chosen.place_px[lost]
+    turns = chosen.phases.order_class[lost] + chosen.phases.phase[lost] / (2 * np.pi)
+    w = turns * chosen.phases.period_px + chosen.place_px[lost]
     origin, directions = grid_rays(camera1)
     directions = directions[lost]
     angle, half = chosen.phases.angle, chosen.place_sigma_px[lost].astype(np.float64)

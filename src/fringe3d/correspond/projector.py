@@ -12,7 +12,6 @@ from fringe3d.errors import MethodError
 from fringe3d.geometry import (
     closest_depths,
     epipolar_segment,
-    grid_rays,
     pixel_grid,
     project,
     rays,
@@ -157,35 +156,6 @@ def guard_px(phases: PhaseMap, /) -> NDArray[np.float64]:
     """Return how far noise and calibration may shift a phase in the projector, (row, col), px."""
     sigma_px = phases.phase_std.astype(np.float64) * (phases.period_px / TWO_PI)
     return GUARD_SIGMA * sigma_px + GUARD_PX
-
-
-def depths_of_orders(
-    phases: PhaseMap, camera: Device, projector: Device, half_px: NDArray[np.float64], /
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return where the viewing rays cross the light around their phase.
-
-    Parameters
-    ----------
-    phases : PhaseMap of the camera, absolute
-    camera, projector : Device
-    half_px : (row, col) float, projector px; see `guard_px`
-
-    Returns
-    -------
-    near, far : (row, col) float64, mm
-        Distances along the rays, `half_px` before and behind the phase; NaN where the pixel is
-        rejected or the sheets are not met.
-    """
-    valid = phases.rejection == 0
-    origin, directions = grid_rays(camera)
-    directions = directions[valid]
-    ends = []
-    for half in (-half_px, half_px):
-        position = (phases.position_px + half)[valid]
-        depth = np.full(valid.shape, np.nan)
-        depth[valid] = sheet_crossing(projector, origin, directions, position, phases.angle)
-        ends.append(depth)
-    return np.minimum(*ends), np.maximum(*ends)
 
 
 def _order_range(

@@ -6,8 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fringe3d.correspond import _search
+from fringe3d.correspond._near import INTERPOLATION_WEIGHT
 from fringe3d.errors import MethodError
-from fringe3d.geometry import depth_interval, frustum, grid_rays, pixel_grid, project, rays
+from fringe3d.geometry import depth_interval, frustum, grid_rays, pixel_centres, project, rays
 from fringe3d.geometry.projection import lens_of
 from fringe3d.model import (
     NO_ORDER,
@@ -28,9 +29,6 @@ SECOND_SIGMA, SECOND_CALIBRATION_RAD = 6.0, 0.2
 """How far the second direction may disagree: by noise, and by 0.3 px of calibration across fringes
 of ten pixels."""
 
-INTERPOLATION_WEIGHT = 4.0 / 9.0
-"""Mean sum of squared weights of a bilinear interpolation at a random place, (2/3)**2."""
-
 
 def match_cameras(
     phases1: PhaseMap,
@@ -40,8 +38,8 @@ def match_cameras(
     volume: MeasuringVolume | None,
     /,
     *,
-    depths_mm: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None,
     second: tuple[PhaseMap, PhaseMap] | None = None,
+    beyond: bool = True,
 ) -> Correspondences:
     """Find in C2 the point with the phase and order of each pixel of C1.
 
@@ -55,11 +53,11 @@ def match_cameras(
     phases1, phases2 : PhaseMap of C1 and C2, of the same fringes
     camera1, camera2 : Device
     volume : MeasuringVolume or None
-    depths_mm : two (row, col) maps or None, mm
-        Narrower ends of the segments, distances along the viewing rays, where more is known.
     second : two PhaseMap or None
         Of C1 and C2, of fringes of another direction, that must agree as well (method M4 without
         a projector).
+    beyond : bool
+        Look for points that have no match beyond the volume, too, to call them OUTSIDE_VOLUME.
 
     Returns
     -------
@@ -78,9 +76,6 @@ def match_cameras(
     seen = frustum(camera2)
     bounds = seen if volume is None else volume.intersection(seen)
     near, far = depth_interval(origin, directions, bounds)
-    if depths_mm is not None:
-        lower, upper = (ends[valid] for ends in depths_mm)
-        near, far = np.fmax(near, lower), np.fmin(far, upper)
     found = np.empty((len(near), 3))
     state = np.empty(len(near), np.int8)
     to_c2 = camera2.device_from_world
@@ -94,10 +89,8 @@ def match_cameras(
     if volume is not None:
         enter, leave = depth_interval(origin, directions, volume)
         misses = ~(enter < leave)
-        if depths_mm is not None:
-            misses |= ~(np.fmax(enter, lower) < np.fmin(leave, upper))
         state[misses] = OUTSIDE_VOLUME
-        if phases1.is_absolute:
+        if phases1.is_absolute and beyond:
             # The table under the object has its true point outside the volume: say so.
             lost = np.flatnonzero(state == _search.NONE)
             first, last = depth_interval(origin, directions[lost], seen)
@@ -204,7 +197,7 @@ def _correspondences(
         sigma[good] = np.sqrt(variance) / np.abs(slope[good])
     return Correspondences(
         device_name=name,
-        pixels_c1=pixel_grid(valid.shape),
+        pixels_c1=pixel_centres(valid.shape),
         pixels=pixels,
         sigma_px=sigma,
         epipolar_residual_px=np.full(valid.shape, np.nan, np.float32),

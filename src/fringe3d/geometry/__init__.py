@@ -6,12 +6,14 @@ from fringe3d.geometry.epipolar import (
     epipolar_curve,
     epipolar_segment,
     frustum,
+    grid_intervals,
     sheet_crossing,
 )
 from fringe3d.geometry.placing import above, looking_at, looking_at_origin
 from fringe3d.geometry.projection import (
     grid_rays,
     normalize,
+    pixel_centres,
     pixel_grid,
     project,
     rays,
@@ -26,10 +28,12 @@ __all__ = [
     "epipolar_curve",
     "epipolar_segment",
     "frustum",
+    "grid_intervals",
     "grid_rays",
     "looking_at",
     "looking_at_origin",
     "normalize",
+    "pixel_centres",
     "pixel_grid",
     "project",
     "rays",

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fringe3d.geometry._clip import clip_all
 from fringe3d.geometry._sheets import cross_all
-from fringe3d.geometry.projection import lens_of, normalize, pixel_grid, project, rays
+from fringe3d.geometry.projection import grid_rays, lens_of, normalize, pixel_grid, project, rays
 from fringe3d.model import Device, MeasuringVolume
+
+INTERVALS_KEPT = 4
+"""Cameras and volumes whose intervals are kept between measurements, 16 bytes a pixel."""
 
 FRUSTUM_SAMPLES = 257
 """Samples along each image border; they miss less than 0.001 px of the bulge of a strongly
@@ -72,6 +77,31 @@ def depth_interval(
     clip_all(flat, np.ascontiguousarray(volume.normals), room, near, far)
     shape = directions.shape[:-1]
     return near.reshape(shape), far.reshape(shape)
+
+
+@lru_cache(maxsize=INTERVALS_KEPT)
+def grid_intervals(
+    camera: Device, other: Device, volume: MeasuringVolume | None, /
+) -> NDArray[np.float32]:
+    """Clip the viewing rays of all pixels by a volume, kept for the next call: read only.
+
+    Returns
+    -------
+    (row, col, 4) float32, mm
+        Where a ray enters and leaves the volume, and where the part of it begins and ends that
+        `other` sees; as `depth_interval`.
+    """
+    origin, directions = grid_rays(camera)
+    intervals = np.empty((*camera.shape, 4), np.float32)
+    seen = frustum(other)
+    bounds = (seen, seen) if volume is None else (volume, volume.intersection(seen))
+    for first, bound in zip((0, 2), bounds, strict=True):
+        near, far = depth_interval(origin, directions, bound)
+        intervals[..., first], intervals[..., first + 1] = near, far
+    if volume is None:
+        intervals[..., :2] = 0, np.inf
+    intervals.flags.writeable = False
+    return intervals
 
 
 def epipolar_curve(

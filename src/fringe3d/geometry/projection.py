@@ -129,6 +129,14 @@ def pixel_grid(shape: tuple[int, int], /) -> NDArray[np.float64]:
     return np.stack([cols, rows], axis=-1)
 
 
+@lru_cache(maxsize=CAMERAS_KEPT)
+def pixel_centres(shape: tuple[int, int], /) -> NDArray[np.float64]:
+    """Return `pixel_grid`, kept for the next call: read only."""
+    grid = pixel_grid(shape)
+    grid.flags.writeable = False
+    return grid
+
+
 def triangulation_angle(a: Device, b: Device, reference_point: ArrayLike, /) -> float:
     """Return the angle, rad, between the rays of two devices to a reference point (3,), mm."""
     point = np.asarray(reference_point, np.float64)
