@@ -8,7 +8,13 @@ import numpy as np
 from numba import njit, prange
 
 from fringe3d.correspond._curves import DEPTH_STEP, across, sheet_depth
-from fringe3d.correspond._phase import TWO_PI, largest_sigma, phase_difference, wrap
+from fringe3d.correspond._phase import (
+    INTERPOLATION_WEIGHT,
+    TWO_PI,
+    largest_sigma,
+    phase_difference,
+    wrap,
+)
 from fringe3d.correspond._search import NO_VIEW, NONE, SEVERAL, STEP_PX, refine, scan, segment
 from fringe3d.geometry._lens import project_normalized
 from fringe3d.model import Rejection
@@ -17,9 +23,6 @@ u2 = np.uint16
 
 OUTSIDE_VOLUME, OUTSIDE_VIEW = u2(Rejection.OUTSIDE_VOLUME), u2(Rejection.OUTSIDE_VIEW)
 NO_MATCH, AMBIGUOUS = u2(Rejection.NO_MATCH), u2(Rejection.AMBIGUOUS)
-
-INTERPOLATION_WEIGHT = 4.0 / 9.0
-"""Mean sum of squared weights of a bilinear interpolation at a random place, (2/3)**2."""
 
 STEPS = 6
 TOLERANCE_RAD = 1e-5
@@ -41,7 +44,7 @@ def _turned(rotation, directions, row, col):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, error_model="numpy")
 def _window(w, half, along_p, projector):  # type: ignore[no-untyped-def]
-    """Return where a ray crosses the sheet w, and how far from there those `half` px off are, mm."""
+    """Return where a ray crosses the sheet w, mm, and how far off it does those `half` px off."""
     base, _, lens, axis = projector
     t = sheet_depth(base, along_p, w, lens, axis)
     step = DEPTH_STEP * t
@@ -132,8 +135,9 @@ def search_near(first, half, rays, intervals, projector, camera2, second, none, 
     rays (row, col, 3): directions in the world; intervals (row, col, 4): mm, where they enter and
     leave the volume, and the part of it that C2 sees; projector = (base (3,), rotation (3, 3),
     lens, axis (2,)), camera2 = (base, rotation, lens): base is the centre of C1 there; second =
-    (phase, sigma) of C2; none: two empty maps, of orders and of another direction. maps = (pixels (row, col, 2), sigma
-    (row, col), px, written, NaN where nothing is found, rejection, to which reasons are added).
+    (phase, sigma) of C2; none: two empty maps, of orders and of another direction. maps = (pixels
+    (row, col, 2), sigma (row, col), px, written, NaN where nothing is found, rejection, to which
+    reasons are added).
     """
     phase1, order1, sigma1, period = first
     phase2, sigma2 = second

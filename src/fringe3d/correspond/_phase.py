@@ -9,6 +9,9 @@ from numba import njit
 
 TWO_PI = 2.0 * math.pi
 
+INTERPOLATION_WEIGHT = 4.0 / 9.0
+"""Mean sum of squared weights of a bilinear interpolation at a random place, (2/3)**2."""
+
 MAX_JUMP = 2.0
 """rad between neighbouring pixels; more is a depth edge or noise, not a surface."""
 

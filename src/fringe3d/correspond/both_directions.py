@@ -9,9 +9,8 @@ from numba import njit, prange
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from fringe3d.correspond._phase import MAX_JUMP
+from fringe3d.correspond._phase import INTERPOLATION_WEIGHT, MAX_JUMP
 from fringe3d.correspond.projector import epipolar_line_at
-from fringe3d.correspond.stereo import INTERPOLATION_WEIGHT
 from fringe3d.geometry import pixel_grid, rays
 from fringe3d.model import NO_ORDER, Correspondences, Device, PhaseMap, Rejection
 from fringe3d.model.rejection import reject

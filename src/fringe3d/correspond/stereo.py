@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fringe3d.correspond import _search
-from fringe3d.correspond._near import INTERPOLATION_WEIGHT
+from fringe3d.correspond._phase import INTERPOLATION_WEIGHT
 from fringe3d.errors import MethodError
 from fringe3d.geometry import depth_interval, frustum, grid_rays, pixel_centres, project, rays
 from fringe3d.geometry.projection import lens_of
