@@ -70,9 +70,8 @@ def _far_off(x, y, phi1, order1, phase2, order2):  # type: ignore[no-untyped-def
     difference = abs(phase2[row, col] - phi1)
     if math.isnan(difference):
         return False  # a hole of one pixel may hide a crossing
-    if (
-        len(order2) == 0 or order2[row, col] == order1
-    ):  # in the same period, or in the next of the same class
+    # In the same period, or in the next of the same class:
+    if len(order2) == 0 or order2[row, col] == order1:
         return min(difference, TWO_PI - difference) > MAX_JUMP
     return TWO_PI - difference > MAX_JUMP  # the pixel lies in the neighbouring period
 
