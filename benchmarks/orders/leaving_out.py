@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.orders.voting import Unwrapping, by_library, deciding_by_vote, grown
-from fringe3d.correspond import solving, weighing
+from fringe3d.correspond import curves, solving, weighing
 from fringe3d.correspond.weighing import Choice, Task
 from fringe3d.model import CalibrationBias
 
@@ -59,12 +59,13 @@ def _each_pixel_alone() -> Patches:
 
 
 def _nothing_beyond() -> Patches:
-    def own_ends(near: NDArray[np.float64], far: NDArray[np.float64]) -> NDArray[np.float64]:
-        ends = np.column_stack([near, far])
-        ends[~(near < far)] = np.nan
+    def own_ends(ends: NDArray[np.float32]) -> NDArray[np.float32]:
         return ends
 
-    return [patch.object(weighing, "_wide_ends", own_ends)]
+    return [
+        patch.object(curves, "expected_depths", own_ends),
+        patch.object(weighing, "ray_curves", curves.ray_curves.__wrapped__),
+    ]
 
 
 def _no_bias() -> Patches:

@@ -12,6 +12,7 @@ from fringe3d.correspond import (
     TwoViews,
     Witnesses,
     choose_orders,
+    confirm_orders,
     fringe_crossing,
     match_both_directions,
     match_cameras,
@@ -31,7 +32,6 @@ from fringe3d.model import (
     Device,
     MeasuringVolume,
     PhaseMap,
-    Rejection,
 )
 from fringe3d.options import MeasureOptions
 from fringe3d.patterns import across
@@ -229,6 +229,15 @@ def _match_three(
     witnesses: Witnesses | None,
 ) -> Matched:
     """Choose the order by projector and C2 together, then find its point in C2."""
+    bias = bias if bias is not None and bias.fits(views.phases1.angle) else None
+    if method == "m1" and views.phases1.is_absolute:
+        # The reference: order by the code, place by the cameras alone.
+        confirmed = confirm_orders(views, projector, volume, bias=bias)
+        matches = match_near_sheets(
+            views.phases1, views.phases2, views.camera1, views.camera2, projector, volume,
+            confirmed.half_px, rejection=confirmed.rejection,
+        )  # fmt: skip
+        return Matched(matches, confirmed.bias)
     least = options.min_order_probability
     if least is None:
         least = STRICT_PROBABILITY if options.strict else MIN_PROBABILITY
@@ -236,7 +245,7 @@ def _match_three(
         views,
         projector,
         volume,
-        bias=bias if bias is not None and bias.fits(views.phases1.angle) else None,
+        bias=bias,
         search=method == "m6",
         witnesses=witnesses,
         min_probability=least,
@@ -247,8 +256,7 @@ def _match_three(
         chosen.phases, views.phases2, views.camera1, views.camera2, projector, volume,
         chosen.half_px,
     )  # fmt: skip
-    if method != "m1":  # M1, the reference, rests on the cameras alone
-        matches = place_lost(matches, chosen, views.camera1, views.camera2, projector)
+    matches = place_lost(matches, chosen, views.camera1, views.camera2, projector)
     good = matches.rejection == 0
     matches = replace(
         matches,
@@ -272,13 +280,11 @@ def _may_judge(views: TwoViews, projector: Device, volume: MeasuringVolume) -> b
     """Tell whether the projector's calibration belongs to the cameras': a full code shows it."""
     if not views.phases1.is_absolute:
         return True
-    left_out = np.full(views.phases1.rejection.shape, np.uint16(Rejection.NO_MATCH))
-    step = max(SAMPLE_STEP_PX, len(left_out) // SAMPLE_ROWS)
-    left_out[::step, ::step] = 0
-    sample = views.phases1.rejecting(left_out)
+    step = max(SAMPLE_STEP_PX, len(views.phases1.phase) // SAMPLE_ROWS)
+    sample = views.phases1.every(step)
     matches = match_cameras(
-        sample, views.phases2, views.camera1, views.camera2, volume, beyond=False
+        sample, views.phases2, views.camera1, views.camera2, volume, beyond=False, step=step
     )
     points = triangulate(matches, views.camera1, views.camera2, volume=volume)
     limit = min(MAX_TRINOCULAR_PX, views.phases1.period_px / 4)
-    return all(f.value < limit for f in check_trinocular(points, views.phases1, projector))
+    return all(f.value < limit for f in check_trinocular(points, sample, projector))

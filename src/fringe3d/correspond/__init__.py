@@ -11,6 +11,7 @@ from fringe3d.correspond.projector import (
     resolve_orders,
     twin_share,
 )
+from fringe3d.correspond.single import confirm_orders
 from fringe3d.correspond.solving import Rivals, coarse_stride, rivals
 from fringe3d.correspond.stereo import fringe_crossing, match_cameras
 from fringe3d.correspond.weighing import Task, TwoViews
@@ -26,6 +27,7 @@ __all__ = [
     "Witnesses",
     "choose_orders",
     "coarse_stride",
+    "confirm_orders",
     "fringe_crossing",
     "guard_px",
     "match_both_directions",

@@ -35,6 +35,17 @@ DEPTH_0 + DEPTH_RISE u + u (1 - u) (DEPTH_A + DEPTH_B u); x and y likewise, with
 
 
 @njit(cache=True, error_model="numpy", inline="always")
+def turned(rotation, ray):  # type: ignore[no-untyped-def]
+    """Return a direction, three numbers, in the frame that a rotation leads to."""
+    x, y, z = ray[0], ray[1], ray[2]
+    return (
+        rotation[0, 0] * x + rotation[0, 1] * y + rotation[0, 2] * z,
+        rotation[1, 0] * x + rotation[1, 1] * y + rotation[1, 2] * z,
+        rotation[2, 0] * x + rotation[2, 1] * y + rotation[2, 2] * z,
+    )
+
+
+@njit(cache=True, error_model="numpy", inline="always")
 def pixel(base, along, t, lens):  # type: ignore[no-untyped-def]
     """Return the pixel of a point of a viewing ray, NaN behind the device."""
     z = base[2] + t * along[2]

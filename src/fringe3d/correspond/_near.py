@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numba import njit, prange
 
-from fringe3d.correspond._curves import DEPTH_STEP, across, sheet_depth
+from fringe3d.correspond._curves import DEPTH_STEP, across, sheet_depth, turned
 from fringe3d.correspond._phase import (
     INTERPOLATION_WEIGHT,
     TWO_PI,
@@ -30,16 +30,6 @@ TOLERANCE_RAD = 1e-5
 
 LEAST_SLOPE = 1e-3
 """rad / px; a phase that rises less may cross several times."""
-
-
-@njit(cache=True, error_model="numpy", inline="always")
-def _turned(rotation, directions, row, col):  # type: ignore[no-untyped-def]
-    x, y, z = directions[row, col, 0], directions[row, col, 1], directions[row, col, 2]
-    return (
-        rotation[0, 0] * x + rotation[0, 1] * y + rotation[0, 2] * z,
-        rotation[1, 0] * x + rotation[1, 1] * y + rotation[1, 2] * z,
-        rotation[2, 0] * x + rotation[2, 1] * y + rotation[2, 2] * z,
-    )
 
 
 @njit(cache=True, error_model="numpy")
@@ -150,7 +140,7 @@ def search_near(first, half, rays, intervals, projector, camera2, second, none, 
                 continue
             phi1 = phase1[row, col]
             w = (order1[row, col] + phi1 / TWO_PI) * period
-            along_p = _turned(projector[1], rays, row, col)
+            along_p = turned(projector[1], rays[row, col])
             t, reach = _window(w, half[row, col], along_p, projector)
             enter, leave = intervals[row, col, 0], intervals[row, col, 1]
             near, far = np.float64(intervals[row, col, 2]), np.float64(intervals[row, col, 3])
@@ -160,7 +150,7 @@ def search_near(first, half, rays, intervals, projector, camera2, second, none, 
             if not enter < leave:
                 rejection[row, col] = OUTSIDE_VOLUME
                 continue
-            along = _turned(rotation2, rays, row, col)
+            along = turned(rotation2, rays[row, col])
             line = segment(base2, along, near, far)
             if math.isnan(line[0]):
                 rejection[row, col] = OUTSIDE_VIEW

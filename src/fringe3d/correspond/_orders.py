@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit, prange
 
 from fringe3d import model
-from fringe3d.correspond._curves import DEPTH_STEP, across, curve_point, exact_point
+from fringe3d.correspond._curves import DEPTH_STEP, across, curve_point, exact_point, turned
 from fringe3d.correspond._phase import TWO_PI, largest_sigma, phase_difference
 
 MODEL_ERROR = 0.0015
@@ -47,21 +47,22 @@ def _same_class(x, y, phase, order, phase2, class2, class_of_order, first_order)
 
 
 @njit(cache=True, error_model="numpy", inline="always")
-def _show(point, i, order, period, first, shown):  # type: ignore[no-untyped-def]
+def show(  # type: ignore[no-untyped-def]
+    point, phi1, sigma1, order, period, phase2, sigma2, class2, class_of_order, first_order, shown
+):
     """Write what C2 shows of a candidate; the difference is NaN where it sees nothing, or another
     class of orders."""
-    phase1, sigma1, phase2, sigma2, class2, class_of_order, first_order = first
     t, x, y, _, dx, dy = point
     shown[:] = np.nan
     shown[DEPTH] = t
-    difference, gx, gy = phase_difference(x, y, phase1[i], phase2)
+    difference, gx, gy = phase_difference(x, y, phi1, phase2)
     if math.isnan(difference) or not _same_class(
-        x, y, phase1[i] + difference, order, phase2, class2, class_of_order, first_order
+        x, y, phi1 + difference, order, phase2, class2, class_of_order, first_order
     ):
         return
     ratio = (gx * dx + gy * dy) * period / TWO_PI
     noise2 = largest_sigma(x, y, phase2, sigma2)
-    variance = noise2 * noise2 + ((ratio - 1) * sigma1[i]) ** 2
+    variance = noise2 * noise2 + ((ratio - 1) * sigma1) ** 2
     shown[DIFFERENCE] = difference / TWO_PI
     shown[GRADIENT_X], shown[GRADIENT_Y] = gx / TWO_PI, gy / TWO_PI
     shown[VARIANCE] = variance / TWO_PI**2 + MODEL_ERROR**2
@@ -93,7 +94,7 @@ def _other_costs(t, i, per_turn, sigma1, along_p, projector, period1, others):  
 
 
 @njit(cache=True, error_model="numpy")
-def _order_range(span, guard, period, turns):  # type: ignore[no-untyped-def]
+def order_range(span, guard, period, turns):  # type: ignore[no-untyped-def]
     """Return the lowest and highest order whose phase lies on a part of the viewing ray."""
     if math.isnan(span[0] + span[1]):
         return 0, -1
@@ -102,18 +103,21 @@ def _order_range(span, guard, period, turns):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, parallel=True, error_model="numpy")
-def find_range(spans, guard, class1, period, phase1, class_of_order, first_order, found, inside):  # type: ignore[no-untyped-def]
+def find_range(where, spans, guard, class1, period, first, found, inside):  # type: ignore[no-untyped-def]
     """Write the lowest and highest order of each pixel's class on its part of the ray, (n, 2), and
     the same, of any class, for the part inside the volume.
 
-    spans = two (n, 2), px: least and largest w of both parts; guard (n,): px by which a candidate
-    may lie beyond; class1 (n,): its class of orders. The highest is less than the lowest where
-    there is none.
+    where (n,): number of the pixel in the image; spans = two (pixel, 2), px: least and largest w of
+    both parts; guard = px for each rad of its phase's deviation, and px, by which a candidate may
+    lie beyond; class1 (n,): its class of orders; first: as `list_candidates` takes it. The highest
+    is less than the lowest where there is none.
     """
     wide, inner = spans
+    phase1, sigma1, _, _, _, class_of_order, first_order = first
     for i in prange(len(class1)):
         turns = phase1[i] / TWO_PI
-        lowest, highest = _order_range(wide[i], guard[i], period, turns)
+        beyond = guard[0] * sigma1[i] + guard[1]
+        lowest, highest = order_range(wide[where[i]], beyond, period, turns)
         lowest = max(lowest, first_order)
         highest = min(highest, first_order + len(class_of_order) - 1)
         while lowest <= highest and class_of_order[lowest - first_order] != class1[i]:
@@ -121,31 +125,35 @@ def find_range(spans, guard, class1, period, phase1, class_of_order, first_order
         while lowest <= highest and class_of_order[highest - first_order] != class1[i]:
             highest -= 1
         found[i, 0], found[i, 1] = lowest, highest
-        lowest, highest = _order_range(inner[i], guard[i], period, turns)
+        lowest, highest = order_range(inner[where[i]], beyond, period, turns)
         inside[i, 0] = max(lowest, first_order)
         inside[i, 1] = min(highest, first_order + len(class_of_order) - 1)
 
 
 @njit(cache=True, parallel=True, error_model="numpy")
-def list_candidates(class1, ranges, label_step, curves, task, orders, shown, extras, is_inside):  # type: ignore[no-untyped-def]
+def list_candidates(  # type: ignore[no-untyped-def]
+    where, class1, ranges, label_step, tables, task, orders, shown, extras, is_inside
+):
     """Write the orders of its class on each pixel's segment, and what the devices show of them.
 
-    class1 (n,): the pixel's class of orders; ranges = two (n, 2): as `find_range` writes them;
-    label_step: orders between the columns of what is written; curves (n, N_CURVE): see `_curves`.
-    task = (along_p (n, 3), along_2 (n, 3), projector, camera2, period, first, others): rays in the
-    frames of projector and C2, and these, as `_curves.trace` takes them; first = (phase1 (n,),
-    sigma1 (n,), phase2, sigma2, class2 (maps), class_of_order, first_order); others = (phases,
-    sigmas (q, n), axes (q, 2), periods, calibrations (q,) px) of other fringes, empty for none.
+    where, class1 (n,): number of the pixel in the image, and its class of orders; ranges = two
+    (n, 2): as `find_range` writes them; label_step: orders between the columns of what is written;
+    tables = (curves (pixel, N_CURVE), see `_curves`, rays (pixel, 3), rotations from the world to
+    projector and C2). task = (projector, camera2, period, first, others): devices as
+    `_curves.trace` takes them; first = (phase1 (n,), sigma1 (n,), phase2, sigma2, class2 (maps),
+    class_of_order, first_order); others = (phases, sigmas (q, n), axes (q, 2), periods,
+    calibrations (q,) px) of other fringes, empty for none.
 
     Writes orders (rising), what C2 shows (n, m, N_SHOWN), the squared deviations of the other
     fringes and whether the candidate lies in the volume, (n, m); m bounds their number.
     """
-    along_p, along_2, projector, camera2, period, first, others = task
+    projector, camera2, period, first, others = task
+    curves, rays, rotation_p, rotation_2 = tables
     found, inside = ranges
-    class_of_order, first_order = first[5], first[6]
+    phase1, sigma1, phase2, sigma2, class2, class_of_order, first_order = first
     for i in prange(len(class1)):
-        turns = first[0][i] / TWO_PI
-        is_curve = not math.isnan(curves[i, 0])
+        turns, curve = phase1[i] / TWO_PI, curves[where[i]]
+        is_curve = not math.isnan(curve[0])
         orders[i], shown[i], extras[i], is_inside[i] = NO_ORDER, np.nan, 0.0, False
         for place in range((found[i, 1] - found[i, 0]) // label_step + 1):
             order = found[i, 0] + place * label_step
@@ -153,15 +161,20 @@ def list_candidates(class1, ranges, label_step, curves, task, orders, shown, ext
                 continue
             w = (order + turns) * period
             if is_curve:
-                point = curve_point(w, curves[i])
+                point = curve_point(w, curve)
             else:
-                point = exact_point(w, along_p[i], along_2[i], projector, camera2)
+                ray = rays[where[i]]
+                along_p, along_2 = turned(rotation_p, ray), turned(rotation_2, ray)
+                point = exact_point(w, along_p, along_2, projector, camera2)
             if point[0] > 0:
-                _show(point, i, order, period, first, shown[i, place])
+                show(
+                    point, phase1[i], sigma1[i], order, period, phase2, sigma2, class2,
+                    class_of_order, first_order, shown[i, place],
+                )  # fmt: skip
                 if len(others[3]) > 0:
                     extras[i, place] = _other_costs(
-                        point[0], i, point[3] * period, first[1][i], along_p[i], projector, period,
-                        others,
+                        point[0], i, point[3] * period, sigma1[i],
+                        turned(rotation_p, rays[where[i]]), projector, period, others,
                     )  # fmt: skip
                 orders[i, place] = order
                 is_inside[i, place] = inside[i, 0] <= order <= inside[i, 1]
@@ -206,6 +219,17 @@ def expect(shown, pixels, bias, scatter, expected, spread, sigma):  # type: igno
         expected[i] = gx * moved_x + gy * (_still(u, v, c[1]) + _rise(u, v, c[1]) * t)
         spread[i] = scatter * math.sqrt(gx * gx + gy * gy)
         sigma[i] = math.sqrt(shown[i, VARIANCE] + spread[i] * spread[i])
+
+
+@njit(cache=True, error_model="numpy")
+def bias_at(x, y, t, c, middle, scale):  # type: ignore[no-untyped-def]
+    """Return the displacement of the point of a pixel at a depth, px, in x and y."""
+    u, v = (x - middle[0]) / scale[0], (y - middle[1]) / scale[1]
+    s = (t - middle[2]) / scale[2]
+    return (
+        _still(u, v, c[0]) + _rise(u, v, c[0]) * s,
+        _still(u, v, c[1]) + _rise(u, v, c[1]) * s,
+    )
 
 
 @njit(cache=True, error_model="numpy")

@@ -14,7 +14,14 @@ from numpy.typing import NDArray
 
 from fringe3d.correspond._orders import DIFFERENCE, RATIO
 from fringe3d.correspond.both_ways import agrees_with_c2, swapped, swapped_bias
-from fringe3d.correspond.solving import DOUBT, coarse_stride, rivals, solve
+from fringe3d.correspond.solving import (
+    DOUBT,
+    coarse_stride,
+    learnt_from,
+    nothing_known,
+    rivals,
+    solve,
+)
 from fringe3d.correspond.surfaces import no_surer_than_most
 from fringe3d.correspond.visibility import is_hidden, is_outshone, takes_foreign_light
 from fringe3d.correspond.weighing import (
@@ -45,6 +52,9 @@ STRICT_MARGIN_PX = 0.5
 
 LEAST_RATIO = 0.5
 
+ABSOLUTE_STRIDE = (4, 4)
+"""Steps of the pixels from which the bias is learnt where the code leaves nothing to choose."""
+
 LEAST_PLACING_RATIO = 0.1
 """Of the phases that C2 and the projector see along a ray; with less C2 tells no place on it."""
 
@@ -61,7 +71,7 @@ class ChosenOrders:
     ----------
     phases : PhaseMap of C1, absolute; what has no order is rejected with its reason
     probability : (row, col) float32; of the order among all candidates; NaN where rejected
-    half_px : (row, col) float64, projector px; how far around its phase C2 sees the point
+    half_px : (row, col) float32, projector px; how far around its phase C2 sees the point
     place_px, place_sigma_px : (row, col) float32, projector px; where across the fringes C1's phase
         and the bias expect the point, less its phase, and the standard deviation
     residual : (row, col) float32, periods; phase that C2 sees at the point minus that of C1, the
@@ -73,7 +83,7 @@ class ChosenOrders:
 
     phases: PhaseMap
     probability: NDArray[np.float32]
-    half_px: NDArray[np.float64]
+    half_px: NDArray[np.float32]
     place_px: NDArray[np.float32]
     place_sigma_px: NDArray[np.float32]
     residual: NDArray[np.float32]
@@ -141,6 +151,8 @@ def choose_orders(
         ask(coarse, witnesses, projector, volume)
         rival = rivals([coarse])
         bias = rival.best if rival is not None else None
+    if bias is None and not search:
+        bias = learnt_coarsely(views, projector, volume, fit_sigma, together=together)
     chosen, bias = solve(task, bias)
     chosen, bias = panel.asked_again(chosen, bias, is_known=is_known or rival is not None)
     if rival is not None:
@@ -165,6 +177,21 @@ def choose_orders(
             agrees &= agrees_with_c2(task, chosen, back, seen_back, strict=True)
     found = _chosen(task, chosen, bias, agrees, refused, min_probability)
     return replace(found, rival_shift=rival.shift() if rival is not None else 0)
+
+
+def learnt_coarsely(
+    views: TwoViews,
+    projector: Device,
+    volume: MeasuringVolume,
+    fit_sigma: float,
+    *,
+    together: bool = True,
+) -> CalibrationBias:
+    """Learn the bias from the clear decisions on a part of the pixels, which tells as much."""
+    phases1 = views.phases1
+    stride = ABSOLUTE_STRIDE if phases1.is_absolute else coarse_stride(phases1.phase)
+    coarse = Task(views, projector, volume, fit_sigma**2, together, stride)
+    return learnt_from(coarse, coarse.decide(nothing_known(coarse)))
 
 
 def _refused(
@@ -217,7 +244,7 @@ def _chosen(
     return ChosenOrders(
         phases=phases,
         probability=probability.astype(np.float32),
-        half_px=_spread(window * phases1.period_px, valid, fill=np.nan),
+        half_px=_spread((window * phases1.period_px).astype(np.float32), valid, fill=np.nan),
         place_px=(place * phases1.period_px).astype(np.float32),
         place_sigma_px=(place_sigma * phases1.period_px).astype(np.float32),
         residual=residual.astype(np.float32),

@@ -21,8 +21,10 @@ def match_near_sheets(
     camera2: Device,
     projector: Device,
     volume: MeasuringVolume,
-    half_px: NDArray[np.float64],
+    half_px: NDArray[np.float32],
     /,
+    *,
+    rejection: NDArray[np.uint16] | None = None,
 ) -> Correspondences:
     """Find in C2 the point with the phase of each pixel of C1, near the light sheet of its order.
 
@@ -36,7 +38,9 @@ def match_near_sheets(
     phases1, phases2 : PhaseMap of C1, absolute, and of C2, of the same fringes
     camera1, camera2, projector : Device
     volume : MeasuringVolume
-    half_px : (row, col) float, projector px; how far around its phase C2 sees the point
+    half_px : (row, col) float32, projector px; how far around its phase C2 sees the point
+    rejection : (row, col) uint16 or None; pixels to leave out, if other than those of phases1;
+        reasons are added to it
 
     Returns
     -------
@@ -53,7 +57,7 @@ def match_near_sheets(
     to_projector, to_c2 = projector.device_from_world, camera2.device_from_world
     angle = phases1.angle
     pixels, sigma = np.empty((*shape, 2)), np.empty(shape, np.float32)
-    rejection = phases1.rejection.copy()
+    rejection = phases1.rejection.copy() if rejection is None else rejection
     _near.search_near(
         (phases1.phase, phases1.order_class, phases1.phase_std, phases1.period_px),
         half_px,

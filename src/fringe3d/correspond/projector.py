@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from fringe3d.correspond.curves import OUTSIDE_PART
 from fringe3d.errors import MethodError
 from fringe3d.geometry import (
     closest_depths,
@@ -32,9 +33,6 @@ TWO_PI = 2 * np.pi
 
 DEPTH_STEP = 1e-4
 """Part of the depth by which the ray is moved to find the direction of the epipolar curve."""
-
-OUTSIDE_PART = 0.4
-"""Part of the segment on each side of the volume where surfaces are expected, as the table."""
 
 GUARD_SIGMA = 3.0
 GUARD_PX = 0.5

@@ -40,6 +40,7 @@ def match_cameras(
     *,
     second: tuple[PhaseMap, PhaseMap] | None = None,
     beyond: bool = True,
+    step: int = 1,
 ) -> Correspondences:
     """Find in C2 the point with the phase and order of each pixel of C1.
 
@@ -58,6 +59,8 @@ def match_cameras(
         a projector).
     beyond : bool
         Look for points that have no match beyond the volume, too, to call them OUTSIDE_VOLUME.
+    step : int
+        Of C1 there is every step-th row and column alone, as `PhaseMap.every` leaves them.
 
     Returns
     -------
@@ -72,7 +75,7 @@ def match_cameras(
     _require_same_fringes(phases1, phases2)
     valid = phases1.rejection == 0
     origin, directions = grid_rays(camera1)
-    directions = directions[valid]
+    directions = directions[::step, ::step][valid]
     seen = frustum(camera2)
     bounds = seen if volume is None else volume.intersection(seen)
     near, far = depth_interval(origin, directions, bounds)
@@ -104,7 +107,8 @@ def match_cameras(
                     _second_direction(None, valid), found_there, there,
                 )  # fmt: skip
                 state[lost[there == _search.FOUND]] = OUTSIDE_VOLUME
-    return _correspondences(phases1, phases2, camera2.name, valid, found, state)
+    pixels_c1 = pixel_centres(camera1.shape)[::step, ::step]
+    return _correspondences(phases1, phases2, camera2.name, pixels_c1, valid, found, state)
 
 
 def _second_direction(
@@ -171,6 +175,7 @@ def _correspondences(
     phases1: PhaseMap,
     phases2: PhaseMap,
     name: str,
+    pixels_c1: NDArray[np.float64],
     valid: NDArray[np.bool_],
     found: NDArray[np.float64],
     state: NDArray[np.int8],
@@ -197,7 +202,7 @@ def _correspondences(
         sigma[good] = np.sqrt(variance) / np.abs(slope[good])
     return Correspondences(
         device_name=name,
-        pixels_c1=pixel_centres(valid.shape),
+        pixels_c1=pixels_c1,
         pixels=pixels,
         sigma_px=sigma,
         epipolar_residual_px=np.full(valid.shape, np.nan, np.float32),

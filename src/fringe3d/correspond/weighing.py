@@ -9,10 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fringe3d.correspond import _aggregate, _curves, _orders
+from fringe3d.correspond import _aggregate, _orders
 from fringe3d.correspond.bias import Evidence, Frame, frame_of
-from fringe3d.correspond.projector import OUTSIDE_PART, guard_px
-from fringe3d.geometry import depth_interval, grid_rays, pixel_grid
+from fringe3d.correspond.curves import ray_curves
+from fringe3d.correspond.projector import GUARD_PX, GUARD_SIGMA
+from fringe3d.geometry import grid_rays
 from fringe3d.geometry.projection import lens_of
 from fringe3d.model import (
     NO_ORDER,
@@ -195,21 +196,17 @@ class Task:
         self.grid = (slice(None, None, stride[0]), slice(None, None, stride[1]))
         self.phase = np.ascontiguousarray(phases1.phase[self.grid])
         self.valid = phases1.rejection[self.grid] == 0
-        self.pixels = pixel_grid(phases1.phase.shape)[self.grid][self.valid]
-        origin, directions = grid_rays(views.camera1)
-        directions = directions[self.grid][self.valid]
-        self.origin, self.directions = origin, directions
-        near, far = depth_interval(origin, directions, volume)
-        self.ends = np.column_stack([near, far])
-        self.wide_ends = _wide_ends(near, far)
+        self.where = _numbers(self.valid, stride, phases1.phase.shape[1])
+        self.tables = ray_curves(views.camera1, views.camera2, projector, volume, phases1.angle)
+        near, far = self._at(self.tables.ends).T
         self.misses = ~(near < far)
-        self.guard = self._of(guard_px(phases1))
-        self.along_p, self.along_2 = (
-            np.ascontiguousarray(device.device_from_world.rotate(directions))
-            for device in (projector, views.camera2)
+        self.origin, self._directions = grid_rays(views.camera1)
+        self._rotations = (
+            projector.device_from_world.rotation,
+            views.camera2.device_from_world.rotation,
         )
         base_p, base_2 = (
-            device.device_from_world.apply(origin) for device in (projector, views.camera2)
+            device.device_from_world.apply(self.origin) for device in (projector, views.camera2)
         )
         axis = np.array([np.cos(phases1.angle), np.sin(phases1.angle)])
         self.projector = (base_p, lens_of(projector), axis)
@@ -224,14 +221,42 @@ class Task:
             phases1.first_order,
         )
         self.listed = self._listed()
-        self.before = np.full(len(self.pixels), np.nan)  # absolute phase in the frame before, turns
+        self.before = np.full(len(self.where), np.nan)  # absolute phase in the frame before, turns
 
     @cached_property
     def frame(self) -> Frame:
         """Return over what the bias is a function; an empty volume has any."""
-        ends = self.wide_ends[np.isfinite(self.wide_ends).all(axis=1)]
+        first = np.flatnonzero(~self.misses)[:1]
+        ends = self.tables.depths_mm.reshape(-1, 2)[self.where[first]]
         depths = (float(ends[0, 0]), float(ends[0, 1])) if len(ends) else (1.0, 2.0)
         return frame_of(self.views.camera1, depths, self.views.phases1.angle)
+
+    @cached_property
+    def pixels(self) -> NDArray[np.float64]:
+        """Return the pixels, (n, 2), px."""
+        rows, cols = np.divmod(self.where, np.int32(self.views.phases1.phase.shape[1]))
+        return np.stack([cols, rows], axis=1).astype(np.float64)
+
+    @cached_property
+    def directions(self) -> NDArray[np.float64]:
+        """Return the directions of the viewing rays in the world, (n, 3)."""
+        return self._at(self._directions)
+
+    @cached_property
+    def along_2(self) -> NDArray[np.float64]:
+        """Return the directions of the viewing rays in the frame of C2, (n, 3)."""
+        return np.ascontiguousarray(self.views.camera2.device_from_world.rotate(self.directions))
+
+    @cached_property
+    def wide_ends(self) -> NDArray[np.float64]:
+        """Return the depths, (n, 2), mm, in which surfaces are expected; NaN for missing rays."""
+        ends = np.array(self._at(self.tables.depths_mm), np.float64)
+        ends[self.misses] = np.nan
+        return ends
+
+    def _at(self, table: NDArray[Any]) -> NDArray[Any]:
+        """Return the rows of a table (row, col, k) for the pixels, (n, k)."""
+        return np.asarray(table.reshape(-1, table.shape[-1])[self.where])
 
     def _of(self, image: NDArray[Any]) -> NDArray[Any]:
         return np.ascontiguousarray(image[self.grid][self.valid])
@@ -243,7 +268,7 @@ class Task:
         # The same sheet lies where it lies in every period: only other directions are calibrated.
         maps: list[tuple[WrappedPhaseMap | PhaseMap, float]] = [(m, 0.0) for m in periods]
         maps += [] if second is None else [(second, PROJECTOR_CALIBRATION_PX)]
-        shape = len(maps), len(self.pixels)
+        shape = len(maps), len(self.where)
         return (
             np.array([self._of(m.phase) for m, _ in maps], np.float32).reshape(shape),
             np.array([self._of(m.phase_std) for m, _ in maps], np.float32).reshape(shape),
@@ -253,17 +278,14 @@ class Task:
         )
 
     def _listed(self) -> Candidates:
-        phases1, n = self.views.phases1, len(self.pixels)
+        phases1, n, tables = self.views.phases1, len(self.where), self.tables
         classes, label_step = self._of(phases1.order_class), _label_step(phases1)
-        curves, wide, inner = np.empty((n, _curves.N_CURVE)), np.empty((n, 2)), np.empty((n, 2))
-        _curves.trace(self.wide_ends, self.along_p, self.along_2, self.projector, self.camera2,
-                      curves, wide)  # fmt: skip
-        _curves.span_of(self.ends, self.along_p, self.projector, inner)
         found, inside = np.empty((n, 2), np.int32), np.empty((n, 2), np.int32)
+        spans = tables.wide.reshape(-1, 2), tables.inner.reshape(-1, 2)
+        guard = GUARD_SIGMA * phases1.period_px / TWO_PI, GUARD_PX
         _orders.find_range(
-            (wide, inner), self.guard, classes, phases1.period_px, self.first[0],
-            phases1.class_of_order, phases1.first_order, found, inside,
-        )  # fmt: skip
+            self.where, spans, guard, classes, phases1.period_px, self.first, found, inside
+        )
         n_orders = int((found[:, 1] - found[:, 0]).max(initial=0)) + 1
         shape = (n, -(-n_orders // label_step))
         listed = Candidates(
@@ -274,11 +296,12 @@ class Task:
             extras=np.empty(shape, np.float32),
             is_inside=np.empty(shape, np.bool_),
         )
-        task = (self.along_p, self.along_2, self.projector, self.camera2, phases1.period_px,
-                self.first, self._others())  # fmt: skip
+        task = (self.projector, self.camera2, phases1.period_px, self.first, self._others())
+        curves = tables.curves.reshape(-1, tables.curves.shape[-1])
         _orders.list_candidates(
-            classes, (found, inside), label_step, curves, task, listed.orders, listed.shown,
-            listed.extras, listed.is_inside,
+            self.where, classes, (found, inside), label_step,
+            (curves, self._directions.reshape(-1, 3), *self._rotations), task,
+            listed.orders, listed.shown, listed.extras, listed.is_inside,
         )  # fmt: skip
         return listed
 
@@ -298,7 +321,7 @@ class Task:
 
     def decide(self, bias: CalibrationBias, *, scatter_px: float | None = None) -> Choice:
         """Weigh the candidates, and choose; `scatter_px` stands for that of the bias."""
-        costs, n = self.costs(bias, scatter_px=scatter_px), len(self.pixels)
+        costs, n = self.costs(bias, scatter_px=scatter_px), len(self.where)
         place, probability, outside = np.empty(n, np.intp), np.empty(n), np.empty(n)
         outside_cost = int(_aggregate.UNIT * OUTSIDE_COST)
         _aggregate.choose(
@@ -318,7 +341,7 @@ class Task:
     ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
         """Return the residuals that the bias lets expect, its scatter, and the standard deviation
         of the residuals, (n,) each, turns."""
-        n = len(self.pixels)
+        n = len(self.where)
         expected, scatter, sigma = np.empty(n), np.empty(n), np.empty(n)
         field = bias.coefficients_px, bias.middle, bias.scale
         _orders.expect(chosen.shown, self.pixels, field, bias.scatter_px, expected, scatter, sigma)
@@ -349,12 +372,12 @@ class Task:
     def index(self) -> NDArray[np.int32]:
         """Return the number of each pixel of the grid, -1 where it has no phase."""
         index = np.full(self.valid.shape, -1, np.int32)
-        index[self.valid] = np.arange(len(self.pixels), dtype=np.int32)
+        index[self.valid] = np.arange(len(self.where), dtype=np.int32)
         return index
 
     @cached_property
     def _jumps(self) -> NDArray[np.uint16]:
-        jumps = np.empty((len(self.pixels), len(_aggregate.WAYS)), np.uint16)
+        jumps = np.empty((len(self.where), len(_aggregate.WAYS)), np.uint16)
         _aggregate.write_jumps(self.phase, self.index, jumps)
         return jumps
 
@@ -367,16 +390,10 @@ def _label_step(phases: PhaseMap) -> int:
     return int(np.gcd.reduce(gaps)) if len(gaps) else len(order)
 
 
-def _wide_ends(near: NDArray[np.float64], far: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the depths, (n, 2), mm, in which surfaces are expected: the volume's and more.
-
-    A ray that leaves the volume through its side meets the table below it further on: so all rays
-    share the depths of all others.
-    """
-    inside = near < far
-    ends = np.full((len(near), 2), np.nan)
-    if inside.any():
-        more = OUTSIDE_PART * (far - near)[inside].max()
-        nearest, farthest = near[inside].min(), far[inside].max()
-        ends[inside] = max(nearest - more, nearest / 2), farthest + more
-    return ends
+def _numbers(valid: NDArray[np.bool_], stride: tuple[int, int], n_cols: int) -> NDArray[np.int32]:
+    """Return the numbers in the whole image, (n,), of the valid pixels of a part of it."""
+    where = np.flatnonzero(valid).astype(np.int32)
+    if stride == (1, 1):
+        return where
+    rows, cols = np.divmod(where, np.int32(valid.shape[1]))
+    return np.asarray(rows * (stride[0] * n_cols) + cols * stride[1], np.int32)

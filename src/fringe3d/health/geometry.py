@@ -12,7 +12,7 @@ from fringe3d.patterns import across
 
 TWO_PI = 2 * np.pi
 MAD_TO_SIGMA = 1.4826
-SAMPLE = 40_000
+SAMPLE = 20_000
 
 EPIPOLAR_WARNING_PX, EPIPOLAR_ERROR_PX = 0.5, 3.0
 """Good rigs stay below 0.3 px; 3 px is no calibration of these images."""

@@ -8,14 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from fringe3d.geometry import epipolar_curve, epipolar_segment, pixel_grid
+from fringe3d.geometry import epipolar_curve, epipolar_segment
 from fringe3d.health import _contrast, _correlate
 from fringe3d.health.finding import Finding
 from fringe3d.model import Correspondences, Device, PhaseMap
 
 TILES_PER_SIDE = 3
 MIN_TILE_POINTS = 1_000
-TILE_SAMPLE = 2_500
+SAMPLE, TILE_SAMPLE = 40_000, 2_000
 MAX_WRONG_TILES = 0.25
 """Part of the telling tiles that may lie elsewhere by chance or by repeating texture."""
 
@@ -115,7 +115,9 @@ def texture_tiles(
     Only tiles with enough matched points are returned.
     """
     texture1, texture2 = _texture(phases1), _texture(phases2)
-    usable = np.argwhere((matches.rejection == 0) & np.isfinite(texture1))
+    index = np.flatnonzero((matches.rejection == 0) & np.isfinite(texture1))
+    index = index[:: max(1, len(index) // SAMPLE) | 1]  # an odd step leaves out no column
+    usable = np.column_stack(np.unravel_index(index, texture1.shape))
     if len(usable) < MIN_TILE_POINTS:
         return []
     normal = _across_epipolar(c1, c2, matches)
@@ -170,8 +172,9 @@ def _slow_part(bright: NDArray[np.float32]) -> NDArray[np.float32]:
 
 def _across_epipolar(c1: Device, c2: Device, matches: Correspondences) -> NDArray[np.float64]:
     """Return the unit normal of the epipolar curve in C2, for the middle of the matched pixels."""
-    grid = pixel_grid(c1.shape)[matches.rejection == 0]
-    middle = grid[len(grid) // 2]
+    index = np.flatnonzero(matches.rejection == 0)
+    row, col = divmod(int(index[len(index) // 2]), matches.rejection.shape[1])
+    middle = np.array([col, row], np.float64)
     near, far = epipolar_segment(c1, c2, middle, None)
     curve = epipolar_curve(
         c1, c2, middle, np.geomspace(float(near), min(float(far), FAR_MM), 3)[1:]

@@ -162,6 +162,19 @@ class PhaseMap(_Maps):
             rejection=self.rejection | rejection,
         )
 
+    def every(self, step: int, /) -> PhaseMap:
+        """Return the map of every step-th row and column."""
+        part = slice(None, None, step), slice(None, None, step)
+        return replace(
+            self,
+            phase=self.phase[part],
+            order_class=self.order_class[part],
+            phase_std=self.phase_std[part],
+            offset=self.offset[part],
+            modulation=self.modulation[part],
+            rejection=self.rejection[part],
+        )
+
     def without_orders(self) -> PhaseMap:
         """Return the map with all orders in one class: the wrapped phase alone."""
         return replace(

@@ -1,0 +1,109 @@
+"""What viewing rays are to light sheets and to C2: it depends on the rig alone."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fringe3d.correspond import _curves
+from fringe3d.geometry import grid_intervals, grid_rays
+from fringe3d.geometry.projection import lens_of
+from fringe3d.model import Device, MeasuringVolume
+
+OUTSIDE_PART = 0.4
+"""Part of the segment on each side of the volume where surfaces are expected, as the table."""
+
+CURVES_KEPT = 4
+"""Pairs of cameras whose curves are kept between measurements, 96 bytes a pixel."""
+
+ROWS_AT_ONCE = 64
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RayCurves:
+    """Curves of all pixels of C1, for one direction of fringes.
+
+    Parameters
+    ----------
+    ends : (row, col, 2) float32, mm; where the rays enter and leave the volume; not rising where
+        they miss it
+    depths_mm : (row, col, 2) float; in which surfaces are expected
+    curves : (row, col, `_curves.N_CURVE`) float32; see `_curves`
+    wide, inner : (row, col, 2) float32, projector px; least and largest w in which surfaces are
+        expected, and inside the volume; NaN where there is none
+    """
+
+    ends: NDArray[np.float32]
+    depths_mm: NDArray[np.float64]
+    curves: NDArray[np.float32]
+    wide: NDArray[np.float32]
+    inner: NDArray[np.float32]
+
+    @property
+    def nbytes(self) -> int:
+        """Return how much memory they take."""
+        return self.ends.nbytes + self.curves.nbytes + self.wide.nbytes + self.inner.nbytes
+
+
+@lru_cache(maxsize=CURVES_KEPT)
+def ray_curves(
+    camera1: Device,
+    camera2: Device,
+    projector: Device,
+    volume: MeasuringVolume,
+    angle: float,
+    /,
+) -> RayCurves:
+    """Return the curves of all pixels of C1, kept for the next call.
+
+    Parameters
+    ----------
+    camera1, camera2, projector : Device
+    volume : MeasuringVolume
+    angle : float, rad; of the fringes
+    """
+    origin, directions = grid_rays(camera1)
+    ends = grid_intervals(camera1, camera2, volume)[..., :2]
+    depths = np.broadcast_to(expected_depths(ends), ends.shape)
+    axis = np.array([np.cos(angle), np.sin(angle)])
+    to_p, to_2 = projector.device_from_world, camera2.device_from_world
+    sheets = (to_p.apply(origin), lens_of(projector), axis)
+    seen = (to_2.apply(origin), lens_of(camera2))
+    n_rows, n_cols = camera1.shape
+    curves = np.empty((n_rows, n_cols, _curves.N_CURVE), np.float32)
+    wide, inner = (np.empty((n_rows, n_cols, 2), np.float32) for _ in range(2))
+    for top in range(0, n_rows, ROWS_AT_ONCE):
+        rows = slice(top, top + ROWS_AT_ONCE)
+        own = ends[rows].reshape(-1, 2).astype(np.float64)
+        is_inside = own[:, 0] < own[:, 1]
+        own[~is_inside] = np.nan
+        far_ends = np.where(is_inside[:, None], depths[rows].reshape(-1, 2), np.nan)
+        along_p, along_2 = (
+            np.ascontiguousarray(to.rotate(directions[rows].reshape(-1, 3))) for to in (to_p, to_2)
+        )
+        found = np.empty((len(own), _curves.N_CURVE))
+        spans = np.empty((2, len(own), 2))
+        _curves.trace(far_ends, along_p, along_2, sheets, seen, found, spans[0])
+        _curves.span_of(own, along_p, sheets, spans[1])
+        for table, values in ((curves, found), (wide, spans[0]), (inner, spans[1])):
+            table[rows] = values.reshape(table[rows].shape)
+    return RayCurves(ends, depths, curves, wide, inner)
+
+
+def expected_depths(ends: NDArray[np.float32], /) -> NDArray[np.float64]:
+    """Return the depths, (2,), mm, in which surfaces are expected: the volume's and more.
+
+    A ray that leaves the volume through its side meets the table below it further on: so all rays
+    share the depths of all others. NaN where none meets the volume.
+    """
+    near, far = ends[..., 0], ends[..., 1]
+    inside = near < far
+    if not inside.any():
+        return np.full(2, np.nan)
+    near, far = near[inside].astype(np.float64), far[inside].astype(np.float64)
+    more = OUTSIDE_PART * (far - near).max()
+    nearest = near.min()
+    return np.array([max(nearest - more, nearest / 2), far.max() + more])
