@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from fringe3d.correspond import _orders
 from fringe3d.correspond.surfaces import made_whole, no_surer_than_most
-from fringe3d.correspond.weighing import Candidates, Choice
+from fringe3d.correspond.weighing import Candidates, Choice, index_of, rises_of
 from fringe3d.model import NO_ORDER
 
 Floats = NDArray[np.float64]
@@ -32,11 +32,14 @@ def task_of(turns: Floats, *, std: float = 0.01, valid: Any = None) -> Any:
     phase = 2 * np.pi * (turns - np.floor(turns))
     phase = np.where(phase > np.pi, phase - 2 * np.pi, phase).astype(np.float32)
     valid = np.ones(turns.shape, bool) if valid is None else valid
-    n = int(valid.sum())
+    phase = np.where(valid, phase, np.nan).astype(np.float32)
+    sigma = np.full(valid.sum(), std, np.float32)
     return SimpleNamespace(
-        phase=np.where(valid, phase, np.nan).astype(np.float32),
+        phase=phase,
         valid=valid,
-        first=(phase[valid], np.full(n, std, np.float32)),
+        first=(phase[valid], sigma),
+        index=index_of(valid),
+        rises=rises_of(phase, valid, sigma),
     )
 
 

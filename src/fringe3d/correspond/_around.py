@@ -7,26 +7,28 @@ import math
 import numpy as np
 from numba import njit, prange
 
-from fringe3d.correspond._curves import pixel
+from fringe3d.correspond._curves import pixel, turned
 
 
 @njit(cache=True, parallel=True, error_model="numpy")
 def count(  # type: ignore[no-untyped-def]
-    depths, along, camera2, turns1, is_alone, decided2, apart, strict, n_certain, n_agree
+    depths, rays, camera2, turns1, is_alone, decided2, apart, strict, n_certain, n_agree
 ):
     """Count the pixels of C2, of the nine around a point, that are certain, and that agree.
 
-    depths (n,): mm; along (n, 3): the rays in the frame of C2; camera2 = (base (3,), lens); turns1
-    (n,): absolute phase, periods; is_alone (n,): of certain pixels only that counts which sees the
-    point; decided2 = (turns2, certain2), (row, col): what C2 decided, NaN
-    for nothing; apart: periods between what agrees. If strict, only those count that are certain.
+    depths (n,): mm; rays = (where (n,): number of the pixel, directions (pixel, 3) in the world,
+    rotation onto the frame of C2); camera2 = (base (3,), lens); turns1 (n,): absolute phase,
+    periods; is_alone (n,): of certain pixels only that counts which sees the point; decided2 =
+    (turns2, certain2), (row, col): what C2 decided, NaN for nothing; apart: periods between what
+    agrees. If strict, only those count that are certain.
     """
     base, lens = camera2
+    where, directions, rotation = rays
     turns2, certain2 = decided2
     n_rows, n_cols = turns2.shape
     for i in prange(len(depths)):
         n_certain[i], n_agree[i] = 0, 0
-        x, y = pixel(base, along[i], depths[i], lens)
+        x, y = pixel(base, turned(rotation, directions[where[i]]), depths[i], lens)
         if math.isnan(x + y) or not (-2 < x < n_cols + 1 and -2 < y < n_rows + 1):
             continue
         col, row = int(np.rint(x)), int(np.rint(y))

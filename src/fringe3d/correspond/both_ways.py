@@ -84,7 +84,7 @@ def agrees_with_c2(
     is_alone = task.listed.is_inside.sum(axis=1) < 2
     n_certain, n_agree = np.empty(len(turns1), np.int8), np.empty(len(turns1), np.int8)
     _around.count(
-        chosen.depth_mm, task.along_2, task.camera2, turns1, is_alone, (turns2, certain2),
+        chosen.depth_mm, task.rays_2, task.camera2, turns1, is_alone, (turns2, certain2),
         SAME_ORDER, strict, n_certain, n_agree,
     )  # fmt: skip
     return np.asarray((n_agree > 0) | ((n_certain == 0) & (not strict)))

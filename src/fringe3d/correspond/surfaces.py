@@ -10,9 +10,9 @@ from scipy import ndimage
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import breadth_first_order, connected_components, minimum_spanning_tree
 
+from fringe3d.correspond._joining import join_surfaces
 from fringe3d.correspond.bias import PATCH_PX
 from fringe3d.correspond.weighing import CLEAR, LARGEST_EXTRA, Choice, Task
-from fringe3d.geometry.components import connected
 from fringe3d.model import NO_ORDER
 
 Bools = NDArray[np.bool_]
@@ -22,12 +22,6 @@ TWO_PI = 2 * np.pi
 
 CONTINUOUS = 0.5
 """Turns of absolute phase between neighbours of one surface."""
-
-SMOOTH_RAD, SMOOTH_SIGMA = 0.1, 3.0
-"""Second difference of the phase on a surface: curvature, and noise."""
-
-STEEPEST_RAD = 2.0
-"""Between neighbours; beyond, the phase may as well fall as rise."""
 
 LEAST_SEAM, SEAM_PART = 4, 0.5
 """Pixels of a border, and part of it, across which the phase is smooth. Where one thing stands in
@@ -63,17 +57,11 @@ def surfaces(
 
     If `smooth`, they are not joined across bends, where phases may agree by chance.
     """
-    turns = absolute_turns(task, order, claims)
-    number = np.full(task.valid.shape, -1)
-    number[np.isfinite(turns)] = np.arange(int(claims.sum()))
-    pairs = []
-    for axis, (here, there) in zip((1, 0), _neighbours(), strict=True):
-        joined = np.abs(turns[here] - turns[there]) < CONTINUOUS
-        if smooth:
-            joined &= _rise(task, axis)[1]
-        pairs.append(np.stack([number[here][joined], number[there][joined]]))
-    start, end = np.concatenate(pairs, axis=1)
-    return connected(start, end, int(claims.sum()))
+    turns = np.where(claims, order + task.first[0] / TWO_PI, np.nan)
+    steps = task.rises[1] if smooth else np.zeros((2, 0, 0), bool)
+    label = np.empty(len(turns), np.intp)
+    join_surfaces(task.index, turns, CONTINUOUS, steps, label)
+    return label[claims]
 
 
 def made_whole(task: Task, chosen: Choice, /, *, doubts: bool = True) -> Choice:
@@ -169,7 +157,7 @@ def _seams(
     turns = absolute_turns(task, order, known)
     found = []
     for axis, (here, there) in zip((1, 0), _neighbours(), strict=True):
-        rise, smooth = _rise(task, axis)
+        rise, smooth = (steps[axis][here] for steps in task.rises)
         border = (parts[here] >= 0) & (parts[there] >= 0) & (parts[here] != parts[there])
         higher = np.rint((turns[there] - turns[here] - rise / TWO_PI)[border]).astype(np.int64)
         first, second = parts[here][border], parts[there][border]
@@ -185,26 +173,6 @@ def _seams(
     long = (length >= LEAST_SEAM) & (length > SEAM_PART * in_all[kinds[0]])
     first, second = pairs[:, kinds[0, long]]
     return first, second, kinds[1, long], length[long]
-
-
-def _rise(task: Task, axis: int) -> tuple[NDArray[np.float32], Bools]:
-    """Return the phase between neighbours, wrapped, rad, and whether it is that of one surface."""
-    rise = _wrapped(np.diff(task.phase, axis=axis))
-    bend = np.abs(_wrapped(np.diff(rise, axis=axis)))
-    before, after = (
-        np.pad(bend, [pad if a == axis else (0, 0) for a in (0, 1)], constant_values=np.nan)
-        for pad in ((1, 0), (0, 1))
-    )
-    sigma = np.full(task.valid.shape, np.nan)
-    sigma[task.valid] = task.first[1]
-    here, there = _neighbours()[1 - axis]
-    noise = np.sqrt(6) * np.maximum(sigma[here], sigma[there])
-    smooth = np.fmax(before, after) < np.hypot(SMOOTH_RAD, SMOOTH_SIGMA * noise)
-    return rise, np.asarray(smooth & (np.abs(rise) < STEEPEST_RAD))
-
-
-def _wrapped(angle: NDArray[np.float32]) -> NDArray[np.float32]:
-    return np.asarray(angle - TWO_PI * np.rint(angle / TWO_PI), np.float32)
 
 
 def _levels(first: Ints, second: Ints, higher: Ints, length: Ints, n: int) -> tuple[Ints, Ints]:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fringe3d.correspond import _aggregate, _orders
+from fringe3d.correspond import _aggregate, _joining, _orders
 from fringe3d.correspond.bias import Evidence, Frame, frame_of
 from fringe3d.correspond.curves import ray_curves
 from fringe3d.correspond.projector import GUARD_PX, GUARD_SIGMA
@@ -44,6 +44,12 @@ LARGEST_EXTRA = 6.0
 
 MOST_SIGMA = 1 / 12
 """Turns; residuals that are less certain reject nothing: six deviations are half a turn."""
+
+SMOOTH_RAD, SMOOTH_SIGMA = 0.1, 3.0
+"""Second difference of the phase on a surface: curvature, and noise."""
+
+STEEPEST_RAD = 2.0
+"""Between neighbours; beyond, the phase may as well fall as rise."""
 
 CLEAR = 0.99
 """Probability of the decisions from which the bias is learnt."""
@@ -242,10 +248,10 @@ class Task:
         """Return the directions of the viewing rays in the world, (n, 3)."""
         return self._at(self._directions)
 
-    @cached_property
-    def along_2(self) -> NDArray[np.float64]:
-        """Return the directions of the viewing rays in the frame of C2, (n, 3)."""
-        return np.ascontiguousarray(self.views.camera2.device_from_world.rotate(self.directions))
+    @property
+    def rays_2(self) -> tuple[NDArray[np.int32], NDArray[np.float64], NDArray[np.float64]]:
+        """Return which pixels they are, (n,), the rays of all, (pixel, 3), and the way to C2."""
+        return self.where, self._directions.reshape(-1, 3), self._rotations[1]
 
     @cached_property
     def wide_ends(self) -> NDArray[np.float64]:
@@ -371,9 +377,12 @@ class Task:
     @cached_property
     def index(self) -> NDArray[np.int32]:
         """Return the number of each pixel of the grid, -1 where it has no phase."""
-        index = np.full(self.valid.shape, -1, np.int32)
-        index[self.valid] = np.arange(len(self.where), dtype=np.int32)
-        return index
+        return index_of(self.valid)
+
+    @cached_property
+    def rises(self) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+        """Return `rises_of` the phase."""
+        return rises_of(self.phase, self.valid, self.first[1])
 
     @cached_property
     def _jumps(self) -> NDArray[np.uint16]:
@@ -388,6 +397,38 @@ def _label_step(phases: PhaseMap) -> int:
     names = phases.class_of_order[order]
     gaps = np.diff(order)[names[1:] == names[:-1]]
     return int(np.gcd.reduce(gaps)) if len(gaps) else len(order)
+
+
+def index_of(valid: NDArray[np.bool_], /) -> NDArray[np.int32]:
+    """Return the number of each valid pixel of a grid, -1 for the others."""
+    index = np.full(valid.shape, -1, np.int32)
+    index[valid] = np.arange(int(valid.sum()), dtype=np.int32)
+    return index
+
+
+def rises_of(
+    phase: NDArray[np.float32], valid: NDArray[np.bool_], sigma: NDArray[np.float32], /
+) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+    """Return the phase from each pixel to the next row and column, wrapped, and where it is smooth.
+
+    Parameters
+    ----------
+    phase : (row, col) float32, rad; NaN where not valid
+    valid : (row, col) bool
+    sigma : (n,) float32, rad; standard deviation of the phase of the valid pixels
+
+    Returns
+    -------
+    rises : (2, row, col) float32, rad; NaN where there is none
+    smooth : (2, row, col) bool; whether it is that of one surface
+    """
+    noise = np.full(valid.shape, np.nan, np.float32)
+    noise[valid] = sigma
+    shape = (2, *valid.shape)
+    rises, smooth = np.empty(shape, np.float32), np.empty(shape, np.bool_)
+    limits = SMOOTH_RAD, SMOOTH_SIGMA * np.sqrt(6), STEEPEST_RAD
+    _joining.write_rises(phase, noise, limits, rises, smooth)
+    return rises, smooth
 
 
 def _numbers(valid: NDArray[np.bool_], stride: tuple[int, int], n_cols: int) -> NDArray[np.int32]:
