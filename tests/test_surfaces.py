@@ -29,7 +29,7 @@ RAGGED = PATCH & ~((ROWS + COLS) % 3 == 0) | (PATCH & (COLS > 54))
 
 
 def task_of(turns: Floats, *, std: float = 0.01, valid: Any = None) -> Any:
-    phase = 2 * np.pi * (turns - np.floor(turns))
+    phase: Any = 2 * np.pi * (turns - np.floor(turns))
     phase = np.where(phase > np.pi, phase - 2 * np.pi, phase).astype(np.float32)
     valid = np.ones(turns.shape, bool) if valid is None else valid
     phase = np.where(valid, phase, np.nan).astype(np.float32)
