@@ -17,9 +17,9 @@ ALLOWED: dict[str, set[str]] = {
     "__main__": {"cli"},
     "errors": set(),
     "model": {"errors"},
-    "geometry": NOUNS,
+    "geometry": NOUNS | {"kernels"},
     "patterns": NOUNS,
-    "decode": NOUNS | {"patterns"},
+    "decode": NOUNS | {"kernels", "patterns"},
     "correspond": NOUNS | {"geometry", "patterns"},
     "triangulate": NOUNS | {"geometry"},
     # Health judges the stages before it, so it may know their results and the geometry.
@@ -96,7 +96,7 @@ EDGE_LIBRARIES = {
     "matplotlib": {"report"},
     "rich": {"cli"},
     "cyclopts": {"cli"},
-    "numba": {"geometry", "decode", "correspond", "health", "simulate"},
+    "numba": {"kernels", "geometry", "decode", "correspond", "health", "simulate"},
 }
 
 FILES = sorted(SOURCE.rglob("*.py"))

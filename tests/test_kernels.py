@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -20,25 +21,47 @@ START = (
 )
 
 
-def shown(folder: Path) -> str:
-    """Return what the compiled function of the package returns in a fresh process."""
+def run(folder: Path, code: str = SHOW, **environment: str) -> tuple[str, str]:
+    """Return what a fresh process prints, and what it prints on standard error."""
     found = subprocess.run(
-        [sys.executable, "-c", SHOW], cwd=folder, capture_output=True, text=True, check=True
-    )
-    return found.stdout.strip()
+        [sys.executable, "-c", code], cwd=folder, capture_output=True, text=True, check=True,
+        env=os.environ | environment,
+    )  # fmt: skip
+    return found.stdout.strip(), found.stderr
 
 
-@pytest.mark.parametrize(("start", "second"), [(START, "2"), ("", "1")])
-def test_changed_source_of_another_file_is_compiled_again(
-    tmp_path: Path, start: str, second: str
-) -> None:
-    """Without the check Numba goes on with the old code: the second case shows the need."""
-    package = tmp_path / "package"
+def shown(folder: Path, **environment: str) -> str:
+    """Return what the compiled function of the package returns in a fresh process."""
+    return run(folder, **environment)[0]
+
+
+def written(folder: Path, start: str) -> Path:
+    package = folder / "package"
     package.mkdir()
     (package / "__init__.py").write_text(start)
     (package / "outer.py").write_text(OUTER)
     (package / "inner.py").write_text(INNER.format(1))
-    assert shown(tmp_path) == "1"
-    assert shown(tmp_path) == "1"
+    return package
+
+
+@pytest.mark.parametrize("elsewhere", [False, True])
+@pytest.mark.parametrize(("start", "second"), [(START, "2"), ("", "1")])
+def test_changed_source_of_another_file_is_compiled_again(
+    tmp_path: Path, start: str, second: str, *, elsewhere: bool
+) -> None:
+    """Without the check Numba goes on with the old code: the second case shows the need."""
+    package = written(tmp_path, start)
+    environment = {"NUMBA_CACHE_DIR": str(tmp_path / "cache")} if elsewhere else {}
+    assert shown(tmp_path, **environment) == "1"
+    assert shown(tmp_path, **environment) == "1"
+    assert elsewhere == (tmp_path / "cache").exists()
     (package / "inner.py").write_text(INNER.format(2))
-    assert shown(tmp_path) == second
+    assert shown(tmp_path, **environment) == second
+
+
+def test_compiling_is_told_once_and_not_where_the_code_is_kept(tmp_path: Path) -> None:
+    written(tmp_path, "")
+    tell = "from fringe3d.kernels import tell_of_compiling; tell_of_compiling('package')\n"
+    code = tell * 2 + SHOW
+    assert run(tmp_path, code)[1].count("package: compiling") == 1
+    assert run(tmp_path, code)[1] == ""

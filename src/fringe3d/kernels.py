@@ -1,15 +1,24 @@
-"""Machine code that was compiled from other sources than those that are here now."""
+"""Machine code of the compiled functions: told of when it is made, forgotten when it is stale."""
 
 from __future__ import annotations
 
 import hashlib
+import os
+import sys
+from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 STAMP = "kernels.sha256"
 MARK = b"njit"
 CONSTANTS = "model"
 """Folder of the constants that are compiled into code."""
+
+COMPILING = "compiling, once after installation or an update: about half a minute"
+
+OWN_FOLDER = "NUMBA_CACHE_DIR"
+"""Environment variable by which Numba keeps its code elsewhere."""
 
 
 def forget_stale_kernels(package: Path, /) -> None:
@@ -20,19 +29,84 @@ def forget_stale_kernels(package: Path, /) -> None:
 
     Parameters
     ----------
-    package : Path; folder of the sources, beside which Numba keeps its code in ``__pycache__``
+    package : Path; folder of the sources. Numba keeps its code beside them in ``__pycache__``, or,
+        where that cannot be written, in the user's cache, or where NUMBA_CACHE_DIR says
     """
+    sources = sorted(package.rglob("*.py"))
     digest = hashlib.sha256()
-    for source in sorted(package.rglob("*.py")):
+    for source in sources:
         text = source.read_bytes()
         is_private = source.name.startswith("_")  # what helps to compile
         if is_private or source.parent.name == CONSTANTS or MARK in text:
             digest.update(source.name.encode() + text)
-    stamp = package / "__pycache__" / STAMP
-    with suppress(OSError):  # where nothing can be written Numba keeps its code elsewhere
+    root = _root_elsewhere(package)
+    folders = [_cache_of(folder, root) for folder in dict.fromkeys(s.parent for s in sources)]
+    with suppress(OSError):  # where nothing can be written there is no code, either
+        stamp = _cache_of(package, root) / STAMP
         if stamp.exists() and stamp.read_text() == digest.hexdigest():
             return
-        for kept in package.rglob("__pycache__/*.nb[ci]"):
-            kept.unlink(missing_ok=True)
-        stamp.parent.mkdir(exist_ok=True)
+        for folder in folders:
+            for kept in _code_in(folder):
+                kept.unlink(missing_ok=True)
+        stamp.parent.mkdir(parents=True, exist_ok=True)
         stamp.write_text(digest.hexdigest())
+
+
+def _root_elsewhere(package: Path) -> Path | None:
+    """Return the folder under which Numba keeps its code, None for beside the sources."""
+    if os.environ.get(OWN_FOLDER):
+        return Path(os.environ[OWN_FOLDER])
+    if os.access(package, os.W_OK):
+        return None
+    home = os.environ.get("XDG_CACHE_HOME")
+    if sys.platform == "darwin":
+        home = str(Path.home() / "Library" / "Caches")
+    elif sys.platform == "win32":
+        home = os.environ.get("LOCALAPPDATA")
+    root = Path(home) if home else Path.home() / ".cache"
+    return root / "numba" / "Cache" if sys.platform == "win32" else root / "numba"
+
+
+def _cache_of(folder: Path, root: Path | None) -> Path:
+    """Return where Numba keeps the code of a folder of sources; elsewhere as it names it there."""
+    if root is None:
+        return folder / "__pycache__"
+    name = hashlib.sha1(str(folder).encode(), usedforsecurity=False).hexdigest()
+    return root / f"{folder.name}_{name}"
+
+
+def _code_in(folder: Path) -> Iterator[Path]:
+    yield from folder.glob("*.nb[ci]")
+
+
+def tell_of_compiling(package: str = "fringe3d", /) -> None:
+    """Say on standard error, once, when functions of a package are compiled: it takes a while.
+
+    Nothing is said where Numba finds the code that it has kept.
+
+    Parameters
+    ----------
+    package : str; its name
+    """
+    from numba.core import event
+
+    class Teller(event.Listener):
+        def on_start(self, started: Any) -> None:
+            function = started.data["dispatcher"].py_func
+            if package in _LISTENING and str(function.__module__).startswith(f"{package}."):
+                _LISTENING.remove(package)
+                if sys.stderr is not None:
+                    sys.stderr.write(f"{package}: {COMPILING}\n")
+                    sys.stderr.flush()
+
+        def on_end(self, ended: Any) -> None:
+            pass
+
+    if package not in _KNOWN:
+        _KNOWN.add(package)
+        _LISTENING.add(package)
+        event.register("numba:compile", Teller())  # type: ignore[no-untyped-call]
+
+
+_KNOWN: set[str] = set()
+_LISTENING: set[str] = set()

@@ -4,6 +4,7 @@ from fringe3d.decode.apart import decode_apart
 from fringe3d.decode.camera import CameraPhases, DirectionPhases, decode
 from fringe3d.decode.order import has_mirrored_neighbours
 from fringe3d.decode.phase import wrapped_phase
+from fringe3d.kernels import tell_of_compiling
 
 __all__ = [
     "CameraPhases",
@@ -13,3 +14,5 @@ __all__ = [
     "has_mirrored_neighbours",
     "wrapped_phase",
 ]
+
+tell_of_compiling()

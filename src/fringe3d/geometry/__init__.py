@@ -20,6 +20,7 @@ from fringe3d.geometry.projection import (
     triangulation_angle,
     unproject,
 )
+from fringe3d.kernels import tell_of_compiling
 
 __all__ = [
     "above",
@@ -41,3 +42,5 @@ __all__ = [
     "triangulation_angle",
     "unproject",
 ]
+
+tell_of_compiling()
