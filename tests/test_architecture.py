@@ -51,6 +51,8 @@ ALLOWED: dict[str, set[str]] = {
     },
     "pipeline": NOUNS
     | {"decode", "correspond", "matching", "methods", "options", "triangulate", "health"},
+    # It keeps what depends on the rig in a file.
+    "session": NOUNS | {"correspond", "io", "options", "pipeline"},
     # What recordings tell of a rig: it decodes and solves as a measurement does.
     "rig_bias": NOUNS | {"correspond", "decode", "matching", "options"},
     # What scans of a board show: it decodes them and hands the corners' light to the calibration.
@@ -71,6 +73,7 @@ ALLOWED: dict[str, set[str]] = {
     },
     "cli": NOUNS
     | {
+        "correspond",
         "board_scans",
         "calibrate",
         "design",

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fringe3d.io.cache import SWITCH, cached, key_of
+from fringe3d.io.cache import SWITCH, cached, key_of, mapped
 
 ARRAYS = {"a": np.arange(6.0).reshape(2, 3), "b": np.array([True, False])}
 
@@ -71,3 +71,38 @@ def test_keys_tell_inputs_apart() -> None:
     ]
     assert len(set(keys)) == len(keys)
     assert key_of(["ab"]) == keys[0]
+
+
+def test_mapped_arrays_are_made_once_and_read_only(folder: Path) -> None:
+    mapped(["x"], lambda: ARRAYS)
+    again = mapped(["x"], never)
+    for name, array in ARRAYS.items():
+        np.testing.assert_array_equal(array, again[name])
+        assert array.dtype == again[name].dtype
+        assert not again[name].flags.writeable
+    other = {"a": np.zeros(3)}
+    np.testing.assert_array_equal(mapped(["y"], lambda: other)["a"], other["a"])
+    assert not list(folder.glob(".partial*"))
+
+
+@pytest.mark.parametrize("spoil", ["cut", "empty", "missing", "no names"])
+def test_mapped_arrays_that_are_not_whole_are_made_again(folder: Path, spoil: str) -> None:
+    mapped(["x"], lambda: ARRAYS)
+    file = next(folder.glob("*-a.npy"))
+    data = file.read_bytes()
+    if spoil == "missing":
+        file.unlink()
+    elif spoil == "no names":  # another run is about to write them
+        next(folder.glob("*.names")).unlink()
+    else:
+        file.write_bytes(data[: len(data) - 8] if spoil == "cut" else b"")
+    made = []
+    again = mapped(["x"], lambda: made.append(1) or ARRAYS)  # type: ignore[func-returns-value]
+    assert made == [1]
+    np.testing.assert_array_equal(ARRAYS["a"], again["a"])
+    np.testing.assert_array_equal(ARRAYS["a"], mapped(["x"], never)["a"])
+
+
+def test_mapped_arrays_can_be_switched_off(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(SWITCH, "off")
+    assert mapped(["x"], lambda: ARRAYS)["a"] is ARRAYS["a"]

@@ -64,7 +64,7 @@ def _nothing_beyond() -> Patches:
 
     return [
         patch.object(curves, "expected_depths", own_ends),
-        patch.object(weighing, "ray_curves", curves.ray_curves.__wrapped__),
+        patch.object(weighing, "ray_curves", curves.traced_curves),
     ]
 
 

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Literal
 
 import numpy as np
 
 from fringe3d.errors import MethodError
 from fringe3d.model import (
+    Device,
     Fringe,
     GrayBit,
     ImageStack,
@@ -125,10 +127,18 @@ def volume_of(
     if rig is None or options.depth_mm is None:
         return None if rig is None else rig.volume
     camera = next(c for c in rig.cameras if c.name == camera_name)
+    return _cut(rig.volume, camera, options.depth_mm)
+
+
+@lru_cache(maxsize=8)
+def _cut(
+    volume: MeasuringVolume | None, camera: Device, depth_mm: tuple[float, float]
+) -> MeasuringVolume:
+    """Return the same volume for the same rig: what is prepared for it can be used again."""
     try:
         slab = MeasuringVolume.depth_slab(
-            camera, depth_min_mm=options.depth_mm[0], depth_max_mm=options.depth_mm[1]
+            camera, depth_min_mm=depth_mm[0], depth_max_mm=depth_mm[1]
         )
     except ValueError as problem:
         raise MethodError(f"--depth: {problem}") from None
-    return slab if rig.volume is None else rig.volume.intersection(slab)
+    return slab if volume is None else volume.intersection(slab)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +22,9 @@ from fringe3d.design import (
     twin_part,
 )
 from fringe3d.model import Device, MeasuringVolume, PhaseMap, Rig
+
+SEGMENTS_KEPT = 8
+"""Rigs, volumes and fringes whose segments are kept between measurements."""
 
 COUNT_STEP_PX = 8
 """Segments are counted on every eighth row and column: they change slowly."""
@@ -66,6 +70,7 @@ class Segments:
         return twin_part(self.periods, math.log2(told_apart), guard=self.guard, beyond=beyond)
 
 
+@lru_cache(maxsize=SEGMENTS_KEPT)
 def segments_in_projector(
     rig: Rig, volume: MeasuringVolume, /, *, period_px: float, angle: float
 ) -> Segments:

@@ -83,7 +83,9 @@ def measure(
         Result of the frame before, of the same scene and rig: m6 prefers what goes on from it where
         the images leave several solutions.
     """
+    from fringe3d.correspond import keep_curves
     from fringe3d.io.atomic import require_writable
+    from fringe3d.io.cache import mapped
     from fringe3d.io.importing import parse_depth
     from fringe3d.io.recording import read_scan
     from fringe3d.io.results import read_points_mm
@@ -104,6 +106,7 @@ def measure(
         min_modulation_dn=min_modulation,
         min_order_probability=min_probability,
     )
+    keep_curves(mapped)
     command = shlex.join(["fringe3d", *sys.argv[1:]])
     request = Request(command=command, scan=scan, images=images, rig=rig, previous=previous)
     with Reporter(quiet=as_json).running() as reporter:

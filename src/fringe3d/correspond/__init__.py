@@ -2,6 +2,7 @@
 
 from fringe3d.correspond.both_directions import match_both_directions
 from fringe3d.correspond.candidates import FIT_SIGMA, ChosenOrders, choose_orders
+from fringe3d.correspond.curves import keep_curves, ray_curves
 from fringe3d.correspond.near import match_near_sheets
 from fringe3d.correspond.placement import place_lost
 from fringe3d.correspond.projector import (
@@ -30,11 +31,13 @@ __all__ = [
     "confirm_orders",
     "fringe_crossing",
     "guard_px",
+    "keep_curves",
     "match_both_directions",
     "match_cameras",
     "match_near_sheets",
     "match_projector",
     "place_lost",
+    "ray_curves",
     "resolve_orders",
     "rivals",
     "twin_share",

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import threading
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from functools import lru_cache
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fringe3d.correspond import _curves
-from fringe3d.geometry import grid_intervals, grid_rays
+from fringe3d.geometry import grid_intervals, grid_rays, projection
 from fringe3d.geometry.projection import lens_of
 from fringe3d.model import Device, MeasuringVolume
 
@@ -17,7 +20,14 @@ OUTSIDE_PART = 0.4
 """Part of the segment on each side of the volume where surfaces are expected, as the table."""
 
 CURVES_KEPT = 4
-"""Pairs of cameras whose curves are kept between measurements, 96 bytes a pixel."""
+"""Pairs of cameras whose curves are kept between measurements, 80 bytes a pixel."""
+
+Arrays = dict[str, NDArray[Any]]
+Keeper = Callable[[Iterable[str | bytes | NDArray[Any]], Callable[[], Arrays]], Arrays]
+"""Returns the arrays that follow from some inputs: those it has kept, or those that are made."""
+
+SOURCES = tuple(Path(module.__file__ or "") for module in (_curves, projection))
+"""Other code, other curves."""
 
 ROWS_AT_ONCE = 64
 
@@ -42,13 +52,24 @@ class RayCurves:
     wide: NDArray[np.float32]
     inner: NDArray[np.float32]
 
-    @property
-    def nbytes(self) -> int:
-        """Return how much memory they take."""
-        return self.ends.nbytes + self.curves.nbytes + self.wide.nbytes + self.inner.nbytes
+
+class _Store:
+    """The curves that were used last, and where they are kept between runs."""
+
+    def __init__(self) -> None:
+        self.lock = threading.Lock()
+        self.kept: dict[tuple[Any, ...], RayCurves] = {}
+        self.keeper: Keeper | None = None
 
 
-@lru_cache(maxsize=CURVES_KEPT)
+_STORE = _Store()
+
+
+def keep_curves(keeper: Keeper | None, /) -> None:
+    """Say where curves are kept between runs; None for nowhere, as it is at first."""
+    _STORE.keeper = keeper
+
+
 def ray_curves(
     camera1: Device,
     camera2: Device,
@@ -65,17 +86,64 @@ def ray_curves(
     volume : MeasuringVolume
     angle : float, rad; of the fringes
     """
-    origin, directions = grid_rays(camera1)
+    key = camera1, camera2, projector, volume, angle
+    with _STORE.lock:
+        found = _STORE.kept.pop(key, None) or traced_curves(*key)
+        _STORE.kept[key] = found  # the last one
+        while len(_STORE.kept) > CURVES_KEPT:
+            del _STORE.kept[next(iter(_STORE.kept))]
+    return found
+
+
+def traced_curves(
+    camera1: Device,
+    camera2: Device,
+    projector: Device,
+    volume: MeasuringVolume,
+    angle: float,
+    /,
+) -> RayCurves:
+    """Do what `ray_curves` does where nothing is kept in memory."""
     ends = grid_intervals(camera1, camera2, volume)[..., :2]
     depths = np.broadcast_to(expected_depths(ends), ends.shape)
-    axis = np.array([np.cos(angle), np.sin(angle)])
+
+    def make() -> Arrays:
+        return _traced(camera1, camera2, projector, ends, depths, angle)
+
+    if _STORE.keeper is None:
+        return RayCurves(ends, depths, **make())
+    parts: list[str | bytes | NDArray[Any]] = [
+        *(_numbers(device) for device in (camera1, camera2, projector)),
+        volume.normals,
+        volume.offsets_mm,
+        repr((camera1.shape, camera2.shape, angle)),
+        *(source.read_bytes() for source in SOURCES),
+    ]
+    return RayCurves(ends, depths, **_STORE.keeper(parts, make))
+
+
+def _numbers(device: Device) -> NDArray[np.float64]:
+    pose = device.device_from_world
+    return np.concatenate([lens_of(device), pose.rotation.ravel(), pose.translation])
+
+
+def _traced(
+    camera1: Device,
+    camera2: Device,
+    projector: Device,
+    ends: NDArray[np.float32],
+    depths: NDArray[np.float64],
+    angle: float,
+) -> Arrays:
+    """Return the curves and spans of `RayCurves`."""
+    origin, directions = grid_rays(camera1)
     to_p, to_2 = projector.device_from_world, camera2.device_from_world
-    sheets = (to_p.apply(origin), lens_of(projector), axis)
+    sheets = (to_p.apply(origin), lens_of(projector), np.array([np.cos(angle), np.sin(angle)]))
     seen = (to_2.apply(origin), lens_of(camera2))
-    n_rows, n_cols = camera1.shape
-    curves = np.empty((n_rows, n_cols, _curves.N_CURVE), np.float32)
-    wide, inner = (np.empty((n_rows, n_cols, 2), np.float32) for _ in range(2))
-    for top in range(0, n_rows, ROWS_AT_ONCE):
+    shape = camera1.shape
+    curves = np.empty((*shape, _curves.N_CURVE), np.float32)
+    wide, inner = (np.empty((*shape, 2), np.float32) for _ in range(2))
+    for top in range(0, shape[0], ROWS_AT_ONCE):
         rows = slice(top, top + ROWS_AT_ONCE)
         own = ends[rows].reshape(-1, 2).astype(np.float64)
         is_inside = own[:, 0] < own[:, 1]
@@ -90,7 +158,9 @@ def ray_curves(
         _curves.span_of(own, along_p, sheets, spans[1])
         for table, values in ((curves, found), (wide, spans[0]), (inner, spans[1])):
             table[rows] = values.reshape(table[rows].shape)
-    return RayCurves(ends, depths, curves, wide, inner)
+    for table in (curves, wide, inner):
+        table.flags.writeable = False
+    return {"curves": curves, "wide": wide, "inner": inner}
 
 
 def expected_depths(ends: NDArray[np.float32], /) -> NDArray[np.float64]:

@@ -9,6 +9,7 @@ import zipfile
 import zlib
 from collections.abc import Callable, Iterable
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -57,6 +58,37 @@ def cached(key: str, make: Callable[[], Arrays], /) -> Arrays:
     return arrays
 
 
+def mapped(parts: Iterable[str | bytes | NDArray[Any]], make: Callable[[], Arrays], /) -> Arrays:
+    """Return arrays as `cached` does, mapped into memory: read only, and shared by all processes.
+
+    What another run has written halfway is not found, and what was cut off is made anew.
+    """
+    folder, key = _folder(), key_of(parts)
+    if folder is None:
+        return make()
+    with suppress(*UNREADABLE):
+        names = (folder / f"{key}.names").read_text(encoding="utf-8").split()
+        return {name: _map(folder / f"{key}-{name}.npy") for name in names}
+    arrays = make()
+    with suppress(OSError):
+        for name, array in arrays.items():
+            _write_aside(folder / f"{key}-{name}.npy", partial(np.save, arr=array))
+        # The names come last: they tell that all is there.
+        _write_aside(folder / f"{key}.names", partial(_save_text, text=" ".join(arrays)))
+        _drop_oldest(folder, but=key)
+    return arrays
+
+
+def _map(file: Path) -> NDArray[Any]:
+    array: NDArray[Any] = np.load(file, mmap_mode="r")
+    os.utime(file)
+    return array.view(np.ndarray)
+
+
+def _save_text(file: str, *, text: str) -> None:
+    Path(file).write_text(text, encoding="utf-8")
+
+
 def _folder() -> Path | None:
     choice = os.environ.get(SWITCH, "")
     if choice == "off":
@@ -67,18 +99,27 @@ def _folder() -> Path | None:
 
 def _keep(file: Path, arrays: Arrays) -> None:
     """Write aside, rename, and drop the entries that were used longest ago."""
+    _write_aside(file, lambda name: np.savez(name, allow_pickle=False, **arrays))
+    _drop_oldest(file.parent, but=file.stem)
+
+
+def _write_aside(file: Path, write: Callable[[str], object]) -> None:
     file.parent.mkdir(parents=True, exist_ok=True)
-    handle, name = tempfile.mkstemp(prefix=".partial-", suffix=".npz", dir=file.parent)
+    handle, name = tempfile.mkstemp(prefix=".partial-", suffix=file.suffix, dir=file.parent)
     os.close(handle)
     try:
-        np.savez(name, allow_pickle=False, **arrays)
+        write(name)
         Path(name).replace(file)
     finally:
         with suppress(OSError):
             Path(name).unlink()
-    entries = sorted(file.parent.glob("*.npz"), key=lambda p: p.stat().st_mtime, reverse=True)
+
+
+def _drop_oldest(folder: Path, *, but: str) -> None:
+    files = [f for f in folder.iterdir() if f.suffix in (".npz", ".npy")]
+    entries = sorted(files, key=lambda p: p.stat().st_mtime, reverse=True)
     total = 0
     for entry in entries:
         total += entry.stat().st_size
-        if total > MAX_BYTES and entry != file:
+        if total > MAX_BYTES and not entry.name.startswith(but):
             entry.unlink(missing_ok=True)

@@ -1,0 +1,82 @@
+"""Scan after scan with the same rig and plan."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from fringe3d.correspond import keep_curves
+from fringe3d.errors import MethodError
+from fringe3d.io.cache import mapped
+from fringe3d.model import ImageStack, PatternPlan, Rig, Scan
+from fringe3d.options import MeasureOptions
+from fringe3d.pipeline import Measurement, measure
+
+
+class Session:
+    """Measures one recording after the other; what depends on the rig alone is computed once.
+
+    Rays, segments and light sheets are computed with the first recording, or mapped into memory
+    from an earlier run's file (in the folder that the environment variable FRINGE3D_CACHE names,
+    80 bytes a pixel and camera). Several threads may measure at the same time. The results are
+    those of `fringe3d.pipeline.measure`, bit for bit, and own their memory.
+
+    Parameters
+    ----------
+    rig : Rig or None; as in `Scan`
+    plan : PatternPlan; of all recordings
+    options : MeasureOptions or None (defaults)
+    keep : bool; keep what depends on the rig in a file for later runs
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from fringe3d.model import PatternPlan
+    >>> from fringe3d.model.plan import fringes
+    >>> from fringe3d.patterns import pattern_image
+    >>> plan = PatternPlan(patterns=fringes(16.0, 4))
+    >>> session = Session(None, plan)
+    >>> images = np.stack([pattern_image(p, (8, 64)) for p in plan.patterns])
+    >>> stack = ImageStack(images=images, plan=plan, device_name="c1", saturation_dn=256)
+    >>> session.measure([stack]).method
+    'phase'
+    """
+
+    def __init__(
+        self,
+        rig: Rig | None,
+        plan: PatternPlan,
+        options: MeasureOptions | None = None,
+        /,
+        *,
+        keep: bool = True,
+    ) -> None:
+        self.rig, self.plan, self.options = rig, plan, options or MeasureOptions()
+        if keep:
+            keep_curves(mapped)
+
+    def measure(self, stacks: Sequence[ImageStack], /) -> Measurement:
+        """Measure what one recording shows.
+
+        Parameters
+        ----------
+        stacks : sequence of ImageStack, one for each camera; the first is C1
+
+        Returns
+        -------
+        Measurement
+
+        Raises
+        ------
+        MethodError
+            If the images follow another plan, or plan and rig do not support the method.
+        CalibrationError, EmptyResultError
+            As `fringe3d.pipeline.measure`.
+        """
+        for stack in stacks:
+            if stack.plan != self.plan:
+                raise MethodError(
+                    f"session: expected images of the plan that it was made for, "
+                    f"{self.plan.n_images} patterns, found another plan of {stack.plan.n_images} "
+                    f"for camera '{stack.device_name}'. Make a session for each plan"
+                )
+        return measure(Scan(stacks=tuple(stacks), rig=self.rig), self.options)
