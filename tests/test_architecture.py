@@ -55,6 +55,18 @@ ALLOWED: dict[str, set[str]] = {
     "session": NOUNS | {"correspond", "io", "options", "pipeline"},
     # What recordings tell of a rig: it decodes and solves as a measurement does.
     "rig_bias": NOUNS | {"correspond", "decode", "matching", "options"},
+    # The poses that recordings show: it decodes and matches as a measurement does.
+    "self_calibration": NOUNS
+    | {
+        "calibrate",
+        "correspond",
+        "decode",
+        "geometry",
+        "matching",
+        "methods",
+        "options",
+        "patterns",
+    },
     # What scans of a board show: it decodes them and hands the corners' light to the calibration.
     "board_scans": NOUNS | {"calibrate", "decode"},
     "report": NOUNS
@@ -68,6 +80,7 @@ ALLOWED: dict[str, set[str]] = {
         "io",
         "options",
         "pipeline",
+        "self_calibration",
         "simulate",
         "__init__",
     },
@@ -85,6 +98,7 @@ ALLOWED: dict[str, set[str]] = {
         "rig_bias",
         "pipeline",
         "report",
+        "self_calibration",
         "simulate",
         "health",
         "__init__",

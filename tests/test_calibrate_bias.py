@@ -55,5 +55,5 @@ def test_mistakes_are_told_and_nothing_is_written(
     with pytest.raises(SystemExit):
         main(["calibrate", "bias", "--from", str(scan), "--images", "a", "--images", "b",
               "--out", str(tmp_path / "new.toml")])  # fmt: skip
-    assert "--images: expected one for each" in capsys.readouterr().err
+    assert "--images: expected one folder for all scans or one for each" in capsys.readouterr().err
     assert not (tmp_path / "new.toml").exists()

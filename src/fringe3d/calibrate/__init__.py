@@ -13,9 +13,12 @@ from fringe3d.calibrate.board_judging import (
 )
 from fringe3d.calibrate.board_view import BoardView
 from fringe3d.calibrate.corner_light import light_on_corners
+from fringe3d.calibrate.homologous import Homologous, Sight, homologous_points
 from fringe3d.calibrate.judging import Rest, check_fit, region_points, rests
 from fringe3d.calibrate.lit_points import LitPoints, lit_points
 from fringe3d.calibrate.point_error import point_covariance
+from fringe3d.calibrate.poses import FittedPoses, PoseChange, fit_poses, located
+from fringe3d.calibrate.poses_judging import check_poses
 from fringe3d.calibrate.projector import FittedProjector, fit_projector, residual_px
 
 __all__ = [
@@ -29,22 +32,30 @@ __all__ = [
     "BoardShape",
     "BoardView",
     "DeviceSize",
+    "FittedPoses",
     "FittedProjector",
+    "Homologous",
     "Lens",
     "LensTrial",
     "LitPoints",
     "Parameter",
+    "PoseChange",
     "PoseLeftOut",
     "Rest",
     "ShapeTrial",
+    "Sight",
     "calibrate_board",
     "check_board",
     "check_fit",
+    "check_poses",
+    "fit_poses",
     "fit_projector",
     "focal_sigma_by_poses",
+    "homologous_points",
     "leave_poses_out",
     "light_on_corners",
     "lit_points",
+    "located",
     "point_covariance",
     "region_points",
     "residual_px",

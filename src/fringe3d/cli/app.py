@@ -4,16 +4,32 @@ from __future__ import annotations
 
 import shlex
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
-from fringe3d.cli import biasing, boarding, calibrating, planning, simulated
+from fringe3d.cli import (
+    biasing,
+    boarding,
+    calibrating,
+    planning,
+    self_calibrating,
+    simulated,
+)
 from fringe3d.cli.console import Reporter, say
 from fringe3d.cli.parameters import Json, Overwrite, app, at_least
 
-__all__ = ["app", "biasing", "boarding", "calibrating", "planning", "simulated"]
+__all__ = [
+    "app",
+    "biasing",
+    "boarding",
+    "calibrating",
+    "planning",
+    "self_calibrating",
+    "simulated",
+]
 
 
 @app.command
@@ -35,6 +51,7 @@ def measure(
     min_modulation: Annotated[float | None, Parameter(validator=at_least(0))] = None,
     min_probability: Annotated[float | None, Parameter(validator=at_least(0, 1))] = None,
     previous: Path | None = None,
+    self_calibrate: Annotated[bool, Parameter(negative=())] = False,
     overwrite: Overwrite = False,
     as_json: Json = False,
 ) -> None:
@@ -82,8 +99,12 @@ def measure(
     previous
         Result of the frame before, of the same scene and rig: m6 prefers what goes on from it where
         the images leave several solutions.
+    self_calibrate
+        Find the poses of all devices from this scan first, starting from those of the rig; leaves
+        them in OUT/rig.toml. Lenses, and the distance of the first two devices, stay.
     """
     from fringe3d.correspond import keep_curves
+    from fringe3d.calibrate import check_poses
     from fringe3d.io.atomic import require_writable
     from fringe3d.io.cache import mapped
     from fringe3d.io.importing import parse_depth
@@ -113,14 +134,23 @@ def measure(
         recording = read_scan(scan, images=images, rig=rig, progress=reporter.step)
         shape = recording.stacks[0].images.shape[1:]
         before = read_points_mm(previous, shape=shape) if previous else None
+        found = None
+        if self_calibrate:
+            found = self_calibrating.own_poses([recording], options, reporter, names=[scan])
+            recording = replace(recording, rig=found.rig)
         result = run(recording, options, stage=reporter.stage, previous_mm=before)
         reporter.stage("writing")
-        write_result(out, recording, options, result, request=request, overwrite=overwrite)
+        write_result(out, recording, options, result, request=request, own_poses=found,
+                     overwrite=overwrite)  # fmt: skip
     if result.method != "phase":
         reporter.note(f"method {result.method} with {result.n_images} images: {result.why}")
     for finding in result.warnings:
         reporter.warn(finding.text)
-    record = measure_record(recording, options, result, request=request) | {"out": str(out)}
+    if found is not None:
+        for finding in check_poses(found.fitted):
+            (reporter.note if finding.level == "ok" else reporter.warn)(finding.text)
+    record = measure_record(recording, options, result, request=request, own_poses=found)
+    record |= {"out": str(out)}
     say(f"{summary(result)} -> {out}", record, as_json=as_json)
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
-from fringe3d.cli.calibrating import CalibrationOptions, Images, Scans, calibrate
+from fringe3d.cli.calibrating import CalibrationOptions, Images, Scans, calibrate, read_scans
 from fringe3d.cli.console import Reporter, say
 from fringe3d.cli.parameters import Json, Overwrite, at_least
 from fringe3d.errors import MethodError, RigError
@@ -96,7 +96,6 @@ def calibrate_bias(options: BiasOptions, reporter: Reporter, /) -> tuple[str, di
         written.
     """
     from fringe3d.io.atomic import require_writable, write_text
-    from fringe3d.io.recording import read_scan
     from fringe3d.io.rigfile import rig_text
     from fringe3d.options import MeasureOptions
     from fringe3d.report.bias import write_bias_picture
@@ -105,16 +104,7 @@ def calibrate_bias(options: BiasOptions, reporter: Reporter, /) -> tuple[str, di
     picture = options.out.with_name(f"{options.out.stem}-bias.png")
     for target in (options.out, picture):
         require_writable(target, overwrite=options.overwrite, inputs=options.scans)
-    folders = options.images or (None,) * len(options.scans)
-    if len(folders) != len(options.scans):
-        raise MethodError(
-            f"--images: expected one for each of the {len(options.scans)} scans, found "
-            f"{len(folders)}. Repeat it in the order of --from"
-        )
-    scans = [
-        read_scan(path, images=folder, rig=options.rig, progress=reporter.step)
-        for path, folder in zip(options.scans, folders, strict=True)
-    ]
+    scans = read_scans(options, reporter)
     rig = scans[0].rig
     if rig is None:
         raise RigError(f"{options.scans[0]}: expected a rig, found none. Name one with --rig")

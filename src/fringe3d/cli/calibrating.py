@@ -199,8 +199,14 @@ def calibrate_projector(
     return projector_text(record), record | {"out": str(options.out)}
 
 
-def _read(options: ProjectorOptions, reporter: Reporter) -> list[Scan]:
-    """Read the scans; each must have two calibrated cameras."""
+def read_scans(options: CalibrationOptions, reporter: Reporter, /) -> list[Scan]:
+    """Read the scans that a calibration starts from.
+
+    Raises
+    ------
+    MethodError
+        If folders of images are named for some of the scans only.
+    """
     from fringe3d.io.recording import read_scan
 
     n_folders = len(options.images)
@@ -211,9 +217,16 @@ def _read(options: ProjectorOptions, reporter: Reporter) -> list[Scan]:
         )
     folders: tuple[Path | None, ...] = options.images or (None,)
     folders = folders * len(options.scans) if len(folders) == 1 else folders
-    scans = []
-    for path, images in zip(options.scans, folders, strict=True):
-        scan = read_scan(path, images=images, rig=options.rig, progress=reporter.step)
+    return [
+        read_scan(path, images=images, rig=options.rig, progress=reporter.step)
+        for path, images in zip(options.scans, folders, strict=True)
+    ]
+
+
+def _read(options: ProjectorOptions, reporter: Reporter) -> list[Scan]:
+    """Read the scans; each must have two calibrated cameras."""
+    scans = read_scans(options, reporter)
+    for path, scan in zip(options.scans, scans, strict=True):
         if scan.rig is None:
             raise MethodError(
                 f"{path}: expected a rig with two calibrated cameras, found none. Name one with "
@@ -226,7 +239,6 @@ def _read(options: ProjectorOptions, reporter: Reporter) -> list[Scan]:
                 "A projector is found from the points that two cameras measure; with one camera "
                 "calibrate it with a board"
             )
-        scans.append(scan)
     return scans
 
 

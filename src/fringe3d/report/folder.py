@@ -22,6 +22,8 @@ from fringe3d.model import NO_ORDER, Scan
 from fringe3d.model.rejection import count_by_reason
 from fringe3d.pipeline import Measurement, MeasureOptions, point_cloud
 from fringe3d.report.overview import write_overview
+from fringe3d.report.self_calibration import self_calibration_record
+from fringe3d.self_calibration import SelfCalibrated
 
 TITLE_COLUMNS = 175
 
@@ -53,12 +55,14 @@ def write_result(
     /,
     *,
     request: Request | None = None,
+    own_poses: SelfCalibrated | None = None,
     overwrite: bool = False,
 ) -> None:
     """Write everything that a measurement leaves, completely or not at all.
 
     ``points.npz`` and ``cloud.ply`` (``phase.npz`` without a rig), ``overview.png`` and
-    ``measure.toml``, which repeats the request if there is one.
+    ``measure.toml``, which repeats the request if there is one; ``rig.toml`` with the poses that
+    the scan itself showed, if it was asked.
     """
     with new_folder(out, overwrite=overwrite) as folder:
         if result.points is None:
@@ -69,7 +73,9 @@ def write_result(
                 folder / "cloud.ply", point_cloud(result), comment=f"fringe3d {__version__}, mm"
             )
         write_overview(folder / "overview.png", result, title=_title(scan, result))
-        record = measure_record(scan, options, result, request=request)
+        record = measure_record(scan, options, result, request=request, own_poses=own_poses)
+        if own_poses is not None:
+            (folder / "rig.toml").write_text(rig_text(own_poses.rig), encoding="utf-8")
         (folder / "measure.toml").write_text(toml_document(record), encoding="utf-8")
 
 
@@ -144,6 +150,7 @@ def measure_record(
     /,
     *,
     request: Request | None = None,
+    own_poses: SelfCalibrated | None = None,
 ) -> dict[str, Any]:
     """Return what ``measure.toml`` says: everything needed to repeat and to judge the result."""
     used = {stack.device_name: stack for stack in scan.stacks}
@@ -184,6 +191,8 @@ def measure_record(
             "provenance": scan.rig.provenance,
             "sha256": hashlib.sha256(rig_text(scan.rig).encode()).hexdigest(),
         }
+    if own_poses is not None:
+        record["self_calibration"] = self_calibration_record(own_poses)
     return record
 
 

@@ -1,0 +1,304 @@
+"""The poses of a rig's devices from its own measurements."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fringe3d.calibrate import FittedPoses, Homologous, fit_poses, homologous_points, located
+from fringe3d.correspond import match_both_directions, match_cameras
+from fringe3d.decode import CameraPhases, decode, decode_apart
+from fringe3d.errors import EmptyResultError, MethodError
+from fringe3d.geometry import closest_depths, pixel_grid, project, rays
+from fringe3d.matching import best_direction_first, match
+from fringe3d.methods import choose_method, images_of, settle
+from fringe3d.model import NO_ORDER, Correspondences, Device, PhaseMap, Rig, Scan
+from fringe3d.options import MeasureOptions, keep_images, volume_of
+from fringe3d.patterns import across
+
+Floats = NDArray[np.float64]
+
+ROUNDS = 3
+"""Points on epipolar curves are searched again with the poses found."""
+
+NEAR_PX = 3.0
+"""How far from a pixel of C1 the point may be that a known length begins at."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class KnownLength:
+    """A known distance between two points of the first scan.
+
+    Parameters
+    ----------
+    first_px, second_px : (x, y), px, in C1
+    length_mm : float, mm, > 0
+    """
+
+    first_px: tuple[float, float]
+    second_px: tuple[float, float]
+    length_mm: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SelfCalibrated:
+    """A rig with the poses that its own measurements show.
+
+    Parameters
+    ----------
+    rig : Rig; without bias and covariance, which belonged to the former poses
+    fitted : FittedPoses
+    n_directions : int; 1 or 2, the most that a scan has
+    length_factor : float; by which a known length changed the scale; 1 without one
+    """
+
+    rig: Rig
+    fitted: FittedPoses
+    n_directions: int
+    length_factor: float = 1.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Recording:
+    """A decoded scan and the method that finds its correspondences."""
+
+    scan: Scan
+    phases: tuple[CameraPhases, ...]
+    method: str
+
+    @property
+    def maps(self) -> list[PhaseMap]:
+        """Return the phase map of C1 for each fringe angle."""
+        return [direction.main for direction in self.phases[0].directions]
+
+    @property
+    def is_free(self) -> bool:
+        """Tell whether the points do not depend on the poses: those of equal phases."""
+        if len(self.phases) < 3 and len(self.maps) > 1:
+            return all(m.is_absolute for i in range(len(self.phases)) for m in self.maps_of(i)[:2])
+        return False
+
+    def maps_of(self, camera: int) -> list[PhaseMap]:
+        """Return those of a camera for the same periods."""
+        pairs = zip(self.phases[camera].directions, self.maps, strict=True)
+        return [direction.like(main) for direction, main in pairs]
+
+
+def self_calibrate(
+    scans: Sequence[Scan],
+    rig: Rig,
+    options: MeasureOptions | None = None,
+    /,
+    *,
+    length: KnownLength | None = None,
+    step: Callable[[str, int, int], object] = lambda *_: None,
+) -> SelfCalibrated:
+    """Find the poses of all devices from scans without any target.
+
+    Lenses, and the place of C1, stay as they are; the distance from C1 to the second camera (to the
+    projector, if there is one camera) gives the scale, or a known length.
+
+    Parameters
+    ----------
+    scans : sequence of Scan; of anything, recorded since the devices stand as they do
+    rig : Rig; as they stood
+    options : MeasureOptions or None; which of the images to use, and the depth range
+    length : KnownLength or None
+    step : called with the work, what is done and what there is to do
+
+    Returns
+    -------
+    SelfCalibrated
+
+    Raises
+    ------
+    MethodError
+        If no device could contradict another: one camera, or two without a projector, with fringes
+        of one direction.
+    EmptyResultError
+        If there are too few homologous points.
+
+    Notes
+    -----
+    See `fringe3d.calibrate.fit_poses`. With full code in two directions the second camera's point
+    is that of equal phases. Otherwise it is searched on the epipolar curve, where it is off along
+    its fringe as far as devices moved, and is searched again with the poses found.
+    """
+    options = options or MeasureOptions()
+    work, n_steps = "self-calibrating", len(scans) + ROUNDS
+    recordings = []
+    for number, scan in enumerate(scans):
+        step(work, number, n_steps)
+        recordings.append(_decoded(scan, rig, options))
+    before = _devices(rig, recordings)
+    fitted, found = None, rig
+    for number in range(1 if all(r.is_free for r in recordings) else ROUNDS):
+        step(work, len(scans) + number, n_steps)
+        points = [_homologous(r, found, options) for r in recordings]
+        near = fitted.devices if fitted is not None else None
+        fitted = fit_poses(points, before, near=near)
+        found = _with(rig, fitted.devices)
+    step(work, n_steps, n_steps)
+    assert fitted is not None
+    factor = 1.0
+    if length is not None:
+        factor = length.length_mm / _distance(length, points[0], fitted.devices)
+        found = _with(rig, fitted.scaled(factor))
+    return SelfCalibrated(
+        rig=found,
+        fitted=fitted,
+        n_directions=max(len(p.angles) for p in points),
+        length_factor=factor,
+    )
+
+
+def _decoded(scan: Scan, rig: Rig, options: MeasureOptions) -> _Recording:
+    """Decode a scan, and choose how to find its correspondences."""
+    stacks = [keep_images(stack, options) for stack in scan.stacks]
+    choice = choose_method(rig, stacks, options)
+    volume = volume_of(rig, stacks[0].device_name, options)
+    stacks = [images_of(choice, stack, rig, volume, options) for stack in stacks]
+    shape = rig.projector.shape if rig.projector is not None else None
+    apart = decode_apart if choice.method == "m6" else decode
+    least = options.min_modulation_dn
+    phases = tuple(apart(stack, shape, min_modulation_dn=least) for stack in stacks)
+    if choice.method != "projector":
+        cameras = {camera.name: camera for camera in rig.cameras}
+        phases = best_direction_first(phases, *(cameras[s.device_name] for s in stacks[:2]))
+        choice = settle(choice, phases[0].directions[0].main, rig, volume, options)
+    recording = _Recording(scan, phases, choice.method)
+    if (len(phases) == 1 or rig.projector is None) and len(recording.maps) < 2:
+        with_what = "one camera" if len(phases) == 1 else "two cameras without a projector"
+        raise MethodError(
+            f"self-calibration: expected fringes of two directions with {with_what}, found one: "
+            "nothing then contradicts a wrong pose. Record both (fringe3d patterns --direction xy)"
+        )
+    if any(m.is_quantised for m in recording.maps):
+        raise MethodError(
+            "self-calibration: expected fringes, found Gray code alone. Record fringes, too"
+        )
+    return recording
+
+
+def _devices(rig: Rig, recordings: Sequence[_Recording]) -> tuple[Device, ...]:
+    """Return C1, the further cameras of all scans and the projector."""
+    cameras = {camera.name: camera for camera in rig.cameras}
+    names = [[phases.device_name for phases in r.phases] for r in recordings]
+    if any(own != names[0] for own in names):
+        raise MethodError(
+            f"self-calibration: expected the same cameras in all scans, found {names}"
+        )
+    own = tuple(cameras[name] for name in names[0])
+    return (*own, rig.projector) if rig.projector is not None else own
+
+
+def _with(rig: Rig, devices: Sequence[Device]) -> Rig:
+    """Return the rig with devices in place of those of their names."""
+    named = {device.name: device for device in devices}
+    projector = rig.projector
+    return Rig(
+        cameras=tuple(named.get(camera.name, camera) for camera in rig.cameras),
+        projector=named.get(projector.name, projector) if projector is not None else None,
+        volume=rig.volume,
+        provenance=rig.provenance,
+    )
+
+
+def _homologous(recording: _Recording, rig: Rig, options: MeasureOptions) -> Homologous:
+    """Find homologous points with the poses of a rig."""
+    devices = _devices(rig, [recording])
+    n_cameras = len(recording.phases)
+    name = recording.scan.title
+    if n_cameras == 1:
+        maps = recording.maps
+        good = np.logical_and.reduce([m.rejection == 0 for m in maps])
+        return homologous_points(maps, [m.position_px for m in maps], [], good, name=name)
+    matches = _matches(recording, devices, rig, options)
+    return homologous_of(recording.phases, matches, devices, name=name)
+
+
+def homologous_of(
+    phases: Sequence[CameraPhases],
+    matches: Correspondences,
+    devices: Sequence[Device],
+    /,
+    *,
+    name: str = "",
+) -> Homologous:
+    """Return the homologous points of a measurement by two cameras or more.
+
+    Parameters
+    ----------
+    phases : CameraPhases of each camera; the direction that was matched first
+    matches : Correspondences of the second camera
+    devices : the cameras of `phases`, then the projector if there is one
+    name : str; of the scan
+    """
+    maps = [direction.main for direction in phases[0].directions]
+    good = matches.rejection == 0
+    origin, directions = rays(devices[0], pixel_grid(good.shape)[good])
+    depths, _ = closest_depths(origin, directions, *rays(devices[1], matches.pixels[good]))
+    points = np.full((*good.shape, 3), np.nan)
+    points[good] = origin + depths[:, None] * directions
+    projector = devices[-1] if devices[-1].role == "projector" else None
+    seen = []
+    for own, device in zip(phases[1:], devices[1:], strict=False):
+        pixels = matches.pixels if device is devices[1] else project(device, points)
+        pairs = zip(own.directions, maps, strict=True)
+        seen.append((device.name, pixels, [direction.like(main) for direction, main in pairs]))
+    orders: list[NDArray[np.int32] | None] = [matches.fringe_order, *[None] * (len(maps) - 1)]
+    positions = [_position(m, o, points, projector) for m, o in zip(maps, orders, strict=True)]
+    return homologous_points(maps, positions, seen, good, name=name)
+
+
+def _position(
+    phases: PhaseMap,
+    orders: NDArray[np.int32] | None,
+    points: Floats,
+    projector: Device | None,
+) -> Floats:
+    """Return the coordinate w of the light in C1, (row, col); orders not known: the likeliest."""
+    if phases.is_absolute:
+        return phases.position_px
+    turns = phases.phase.astype(np.float64) / (2 * np.pi)
+    if projector is None:
+        return np.asarray(turns * phases.period_px)  # only differences count
+    if orders is not None:
+        return np.asarray(np.where(orders == NO_ORDER, np.nan, turns + orders) * phases.period_px)
+    x, y = np.moveaxis(project(projector, points), -1, 0)
+    predicted = across(phases.angle, x, y) / phases.period_px
+    return np.asarray((turns + np.rint(predicted - turns)) * phases.period_px)
+
+
+def _matches(
+    recording: _Recording, devices: Sequence[Device], rig: Rig, options: MeasureOptions
+) -> Correspondences:
+    """Find the points of the second camera; where orders are known, without the projector."""
+    maps, maps2 = recording.maps, recording.maps_of(1)
+    c1, c2 = devices[:2]
+    if len(maps) > 1 and all(m.is_absolute for m in (*maps[:2], *maps2[:2])):
+        return match_both_directions((maps[0], maps[1]), (maps2[0], maps2[1]), c1, c2)
+    if maps[0].is_absolute:
+        return match_cameras(maps[0], maps2[0], c1, c2, None)
+    further = devices[2 : len(recording.phases)]
+    volume = volume_of(rig, c1.name, options)
+    return match(recording.phases, c1, c2, rig.projector, volume, method=recording.method,
+                 options=options, bias=rig.bias, cameras=further).matches  # fmt: skip
+
+
+def _distance(length: KnownLength, points: Homologous, devices: Sequence[Device]) -> float:
+    """Return the distance of two points with the poses found, mm."""
+    ends = []
+    for pixel in (length.first_px, length.second_px):
+        away = np.linalg.norm(points.pixels_c1 - np.asarray(pixel, np.float64), axis=1)
+        nearest = int(np.argmin(away))
+        if not away[nearest] <= NEAR_PX:
+            raise EmptyResultError(
+                f"known length: expected a point at pixel {pixel} (x, y) of C1, found none within "
+                f"{NEAR_PX:g} px"
+            )
+        ends.append(located(points.subset(np.array([nearest])), devices)[0])
+    return float(np.linalg.norm(ends[1] - ends[0]))
