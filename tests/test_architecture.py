@@ -50,7 +50,16 @@ ALLOWED: dict[str, set[str]] = {
         "triangulate",
     },
     "pipeline": NOUNS
-    | {"decode", "correspond", "matching", "methods", "options", "triangulate", "health"},
+    | {
+        "decode",
+        "correspond",
+        "health",
+        "matching",
+        "methods",
+        "options",
+        "self_calibration",
+        "triangulate",
+    },
     # It keeps what depends on the rig in a file.
     "session": NOUNS | {"correspond", "io", "options", "pipeline"},
     # What recordings tell of a rig: it decodes and solves as a measurement does.
@@ -62,6 +71,7 @@ ALLOWED: dict[str, set[str]] = {
         "correspond",
         "decode",
         "geometry",
+        "health",
         "matching",
         "methods",
         "options",

@@ -43,6 +43,7 @@ from fringe3d.model import (
 )
 from fringe3d.model.rejection import count_by_reason
 from fringe3d.options import MeasureOptions, keep_images, volume_of
+from fringe3d.self_calibration import check_moved
 from fringe3d.triangulate import (
     remove_edges,
     remove_isolated,
@@ -190,6 +191,7 @@ def measure(
             findings += check_texture(matches, main, main2, camera, other)
             if projector is not None:
                 findings += check_trinocular(points, main, projector)
+                findings += check_moved(findings, phases, matches, (camera, other, projector))
         points = _clean(points, options, main)
         if main.is_quantised:
             points = remove_repeated(points, matches)

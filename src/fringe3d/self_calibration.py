@@ -8,11 +8,21 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fringe3d.calibrate import FittedPoses, Homologous, fit_poses, homologous_points, located
+from fringe3d.calibrate import (
+    FittedPoses,
+    Homologous,
+    fit_poses,
+    homologous_points,
+    located,
+    moved_text,
+    which_moved,
+)
 from fringe3d.correspond import match_both_directions, match_cameras
 from fringe3d.decode import CameraPhases, decode, decode_apart
 from fringe3d.errors import EmptyResultError, MethodError
 from fringe3d.geometry import closest_depths, pixel_grid, project, rays
+from fringe3d.health import EPIPOLAR_WARNING_PX, Finding
+from fringe3d.health.finding import Level
 from fringe3d.matching import best_direction_first, match
 from fringe3d.methods import choose_method, images_of, settle
 from fringe3d.model import NO_ORDER, Correspondences, Device, PhaseMap, Rig, Scan
@@ -23,6 +33,9 @@ Floats = NDArray[np.float64]
 
 ROUNDS = 3
 """Points on epipolar curves are searched again with the poses found."""
+
+CONTRADICTIONS = ("epipolar_residual_px", "trinocular_residual_px", "lost_part")
+"""Findings after which it is asked which device moved."""
 
 NEAR_PX = 3.0
 """How far from a pixel of C1 the point may be that a known length begins at."""
@@ -155,6 +168,39 @@ def self_calibrate(
     )
 
 
+def check_moved(
+    findings: Sequence[Finding],
+    phases: Sequence[CameraPhases],
+    matches: Correspondences,
+    devices: Sequence[Device],
+    /,
+) -> list[Finding]:
+    """Say which device moved, where other checks found that the rig does not fit.
+
+    Parameters
+    ----------
+    findings : what the other checks found
+    phases : CameraPhases of two cameras; the direction that was matched first
+    matches : Correspondences of the second camera
+    devices : the cameras of `phases`, then the projector if there is one
+    """
+    found = [f for f in findings if f.name in CONTRADICTIONS and f.level != "ok"]
+    maps = [direction.main for direction in phases[0].directions]
+    if not found or len(devices) < 3 or any(m.is_quantised for m in maps):
+        return []
+    pairs = zip(phases[1].directions, maps, strict=True)
+    matches = _freely(maps, [d.like(m) for d, m in pairs], devices) or matches
+    try:
+        moved = which_moved([homologous_of(phases[:2], matches, devices)], devices)
+    except EmptyResultError:
+        return []
+    if moved.residual_px < EPIPOLAR_WARNING_PX:
+        return []
+    level: Level = "error" if any(f.level == "error" for f in found) else "warning"
+    advice = "Calibrate again (--self-calibrate)"
+    return [Finding(level, "moved_px", moved.residual_px, f"{moved_text(moved)}. {advice}")]
+
+
 def _decoded(scan: Scan, rig: Rig, options: MeasureOptions) -> _Recording:
     """Decode a scan, and choose how to find its correspondences."""
     stacks = [keep_images(stack, options) for stack in scan.stacks]
@@ -277,16 +323,24 @@ def _matches(
     recording: _Recording, devices: Sequence[Device], rig: Rig, options: MeasureOptions
 ) -> Correspondences:
     """Find the points of the second camera; where orders are known, without the projector."""
-    maps, maps2 = recording.maps, recording.maps_of(1)
     c1, c2 = devices[:2]
-    if len(maps) > 1 and all(m.is_absolute for m in (*maps[:2], *maps2[:2])):
-        return match_both_directions((maps[0], maps[1]), (maps2[0], maps2[1]), c1, c2)
-    if maps[0].is_absolute:
-        return match_cameras(maps[0], maps2[0], c1, c2, None)
+    found = _freely(recording.maps, recording.maps_of(1), devices)
+    if found is not None:
+        return found
     further = devices[2 : len(recording.phases)]
     volume = volume_of(rig, c1.name, options)
     return match(recording.phases, c1, c2, rig.projector, volume, method=recording.method,
                  options=options, bias=rig.bias, cameras=further).matches  # fmt: skip
+
+
+def _freely(
+    maps: Sequence[PhaseMap], maps2: Sequence[PhaseMap], devices: Sequence[Device]
+) -> Correspondences | None:
+    """Return the points of the second camera without projector and volume; None without a code."""
+    c1, c2 = devices[:2]
+    if len(maps) > 1 and all(m.is_absolute for m in (*maps[:2], *maps2[:2])):
+        return match_both_directions((maps[0], maps[1]), (maps2[0], maps2[1]), c1, c2)
+    return match_cameras(maps[0], maps2[0], c1, c2, None) if maps[0].is_absolute else None
 
 
 def _distance(length: KnownLength, points: Homologous, devices: Sequence[Device]) -> float:

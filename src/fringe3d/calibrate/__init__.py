@@ -16,6 +16,7 @@ from fringe3d.calibrate.corner_light import light_on_corners
 from fringe3d.calibrate.homologous import Homologous, Sight, homologous_points
 from fringe3d.calibrate.judging import Rest, check_fit, region_points, rests
 from fringe3d.calibrate.lit_points import LitPoints, lit_points
+from fringe3d.calibrate.moved import Moved, Mover, moved_text, which_moved
 from fringe3d.calibrate.point_error import point_covariance
 from fringe3d.calibrate.poses import FittedPoses, PoseChange, fit_poses, located
 from fringe3d.calibrate.poses_judging import check_poses
@@ -38,6 +39,8 @@ __all__ = [
     "Lens",
     "LensTrial",
     "LitPoints",
+    "Moved",
+    "Mover",
     "Parameter",
     "PoseChange",
     "PoseLeftOut",
@@ -56,8 +59,10 @@ __all__ = [
     "light_on_corners",
     "lit_points",
     "located",
+    "moved_text",
     "point_covariance",
     "region_points",
     "residual_px",
     "rests",
+    "which_moved",
 ]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -78,30 +78,57 @@ class PoseProblem:
         matrix, gradient = sum(n.matrix for n in normals), sum(n.gradient for n in normals)
         return np.asarray(matrix / crowding), np.asarray(gradient / crowding)
 
-    def solve(self, at: State, noise: float, crowding: float) -> State:
-        """Iterate to the best poses."""
+    def solve(
+        self,
+        at: State,
+        noise: float,
+        crowding: float,
+        /,
+        *,
+        free: Callable[[Sequence[Device]], Floats] | None = None,
+    ) -> State:
+        """Iterate to the best poses.
+
+        Parameters
+        ----------
+        at : State
+        noise, crowding : float
+        free : function from devices to directions (p, f), rad and mm, or None
+            In which poses may move; None: all that keep the distance of C1 and the next device.
+        """
         spread = self.prior.spread
         for _ in range(MAX_ROUNDS):
             matrix, gradient = self.information(at, noise, crowding)
-            basis = without_scale(at.devices, spread)
+            basis = _basis(at.devices, spread, free)
             offset = self.prior.offset(at.devices) / spread
-            reduced = basis.T @ (matrix * np.outer(spread, spread)) @ basis + np.eye(basis.shape[1])
+            held = basis.T @ basis
+            reduced = basis.T @ (matrix * np.outer(spread, spread)) @ basis + held
             pull = basis.T @ (gradient * spread + offset)
             step = -np.linalg.solve(reduced, pull)
-            at = self._after(at, spread * (basis @ step))
+            at = self._after(at, spread * (basis @ step), keeps_distance=free is None)
             if float(np.sqrt(step @ reduced @ step)) < TOLERANCE:
                 break
         return at
 
-    def _after(self, at: State, step: Floats) -> State:
+    def _after(self, at: State, step: Floats, *, keeps_distance: bool) -> State:
         """Return the state after a step, with the former distance from C1 to the next device."""
         devices = moved(at.devices, step)
-        factor = _distance(self.prior.devices) / _distance(devices)
+        factor = _distance(self.prior.devices) / _distance(devices) if keeps_distance else 1.0
         return self.at(scaled(devices, factor), [t * factor for t in at.depths])
 
 
 def _distance(devices: Sequence[Device]) -> float:
     return float(np.linalg.norm(devices[1].center_world - devices[0].center_world))
+
+
+def _basis(
+    devices: Sequence[Device],
+    spread: Floats,
+    free: Callable[[Sequence[Device]], Floats] | None,
+) -> Floats:
+    if free is None:
+        return without_scale(devices, spread)
+    return free(devices) / spread[:, None]
 
 
 def without_scale(devices: Sequence[Device], spread: Floats) -> Floats:

@@ -168,6 +168,15 @@ def normal_equations(found: Equations, noise: float, /) -> Normal:
     return Normal(flat.T @ flat, flat.T @ (left * root).ravel(), squares, freedom)
 
 
+def loss_of(normals: Sequence[Normal], /) -> float:
+    """Return the loss of all points, in squared sigmas."""
+    total = 0.0
+    for normal in normals:
+        limit = FAR**2 * np.maximum(normal.freedom, 1)
+        total += float((limit * np.log1p(normal.squares / limit)).sum())
+    return total
+
+
 def best_depths(
     view: Viewed, devices: Sequence[Device], depths: Floats, /, *, rounds: int = 2
 ) -> Floats:

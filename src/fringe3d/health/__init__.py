@@ -2,6 +2,7 @@
 
 from fringe3d.health.finding import Finding
 from fringe3d.health.geometry import (
+    EPIPOLAR_WARNING_PX,
     check_ambiguity,
     check_bias,
     check_epipolar,
@@ -22,6 +23,7 @@ from fringe3d.health.response import (
 from fringe3d.health.texture import check_texture
 
 __all__ = [
+    "EPIPOLAR_WARNING_PX",
     "Finding",
     "axis_name",
     "check_ambiguity",
