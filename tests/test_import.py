@@ -74,7 +74,8 @@ def images(recording: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 def small(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Return ``images`` in the working directory, two grey ones; what they say is not checked."""
     fill(tmp_path / "images", np.full((6, 8), 200, np.uint8))
-    monkeypatch.setattr("fringe3d.cli.importer._check", lambda *_: "not checked")
+    for check in ("_check", "_check_both_directions"):
+        monkeypatch.setattr(f"fringe3d.cli.importer.{check}", lambda *_: "not checked")
     monkeypatch.chdir(tmp_path)
     return tmp_path / "images"
 
@@ -444,6 +445,26 @@ def test_import_describes_a_recording_of_other_software(
     _require_points_of(recording[0], read_scan(images))
     main(["measure", "images", "--out", "result"])
     assert Path("result/cloud.ply").is_file()
+
+
+def test_import_finds_in_which_direction_r_and_t_map(
+    images: Path, recording: Recording, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A file whose R and T map the second camera to the first, and nobody says so."""
+    rig = recording[0].rig
+    assert rig is not None
+    pose = second_from_first(rig.cameras)
+    turned = (rig.cameras[0], replace(rig.cameras[1], device_from_world=pose.inverse()))
+    origin = replace(rig.cameras[0], device_from_world=RigidTransform.identity())
+    write_calibration((origin, turned[1]), Path("stereo.yml"))
+    main([*DESCRIBED, "--calibration", "stereo.yml", "--depth", "310:370"])
+    printed = capsys.readouterr()
+    assert "so they fit the images (--inverse-pose)" in printed.out
+    found = read_scan(images).rig
+    assert found is not None
+    np.testing.assert_allclose(
+        second_from_first(found.cameras).translation, pose.translation, atol=1e-9
+    )
 
 
 def test_import_names_what_may_mend_a_pose_that_contradicts_the_images(

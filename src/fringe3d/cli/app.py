@@ -14,6 +14,7 @@ from fringe3d.cli import (
     biasing,
     boarding,
     calibrating,
+    exporting,
     planning,
     self_calibrating,
     simulated,
@@ -26,6 +27,7 @@ __all__ = [
     "biasing",
     "boarding",
     "calibrating",
+    "exporting",
     "planning",
     "self_calibrating",
     "simulated",
@@ -202,7 +204,8 @@ def import_(
     calibration_keys
         Names of its matrices: M1,D1,M2,D2,R,T, with :projector if the second is a projector.
     inverse_pose
-        R and T map the second device to the first (OpenCV's map the first to the second).
+        R and T map the second device to the first (OpenCV's map the first to the second). Without
+        it both are tried, and what fits the images is taken.
     depth
         MIN:MAX, mm along the principal ray of C1; becomes the measuring volume.
     bit_depth

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 from fringe3d.cli.console import Reporter, fail
@@ -33,10 +34,13 @@ from fringe3d.io.importing import (
 )
 from fringe3d.io.recording import read_scan
 from fringe3d.io.rigfile import read_rig, rig_text, slab_text
-from fringe3d.pipeline import MeasureOptions, measure
+from fringe3d.pipeline import Measurement, MeasureOptions, measure
 from fringe3d.report.folder import summary
 
 __all__ = ["ImportOptions", "import_recording"]
+
+POSE_FINDINGS = ("epipolar_residual_px", "trinocular_residual_px", "lost_part", "texture_shift_px")
+"""Of these one at least is bad where R and T are taken the wrong way round."""
 
 
 def import_recording(options: ImportOptions, reporter: Reporter, /) -> str:
@@ -56,7 +60,9 @@ def import_recording(options: ImportOptions, reporter: Reporter, /) -> str:
     scan = scan_text(_entries(options, cameras), images=options.images, out=options.out)
     rig = _rig_text(options, cameras) if options.calibration else None
     _write(options, scan, rig)
-    return _check(options, reporter)
+    if rig is None or options.inverse_pose:
+        return _check(options, reporter)
+    return _check_both_directions(options, cameras, rig, reporter)
 
 
 def _require_sense(options: ImportOptions) -> None:
@@ -160,22 +166,69 @@ def _write(options: ImportOptions, scan: str, rig: str | None) -> None:
         raise
 
 
+def _check_both_directions(
+    options: ImportOptions, cameras: Sequence[dict[str, Any]], rig: str, reporter: Reporter
+) -> str:
+    """Check R and T as OpenCV writes them; where they do not fit, the other way round.
+
+    What fits is taken, and said; where neither does, the first problem is told.
+    """
+    problem, found = None, None
+    try:
+        found = _measured(options, reporter)
+    except (CalibrationError, EmptyResultError, RigError) as error:
+        problem = error
+    except Fringe3DError as error:
+        raise _failed(options, error) from None
+    if found is not None and not any(f.name in POSE_FINDINGS for f in found.warnings):
+        return _told(options, found)
+    inverse = replace(options, inverse_pose=True)
+    try:
+        write_text(options.rig_out, _rig_text(inverse, cameras), overwrite=True)
+        other = _measured(inverse, reporter)
+    except Fringe3DError:
+        other = None
+    if other is not None and not any(f.name in POSE_FINDINGS for f in other.warnings):
+        note = (
+            "R and T map the second device to the first, not as OpenCV's: so they fit the images "
+            "(--inverse-pose)"
+        )
+        return f"{_told(inverse, other)}\n{note}"
+    write_text(options.rig_out, rig, overwrite=True)
+    if found is None:
+        assert problem is not None
+        raise _failed(options, problem)
+    return _told(options, found)
+
+
 def _check(options: ImportOptions, reporter: Reporter) -> str:
     """Measure with the new description; say what came out, and what may be wrong."""
+    try:
+        return _told(options, _measured(options, reporter))
+    except Fringe3DError as problem:
+        raise _failed(options, problem) from None
+
+
+def _measured(options: ImportOptions, reporter: Reporter) -> Measurement:
     path = options.out
     try:
         with reporter.running():
             scan = read_scan(path, progress=reporter.step)
-            result = measure(scan, MeasureOptions(), stage=reporter.stage)
-    except Fringe3DError as problem:
-        raise PlanError(
-            f"{path} is written, but the check failed: {str(problem).rstrip('.')}"
-            f"{_remedy(options, problem)}. 'fringe3d measure' repeats the check"
-        ) from None
+            return measure(scan, MeasureOptions(), stage=reporter.stage)
     except KeyboardInterrupt:
         fail(f"interrupted; {path} is written but not checked. 'fringe3d measure' checks it")
         raise SystemExit(130) from None
-    lines = [f"{path}: {summary(result)}"]
+
+
+def _failed(options: ImportOptions, problem: Fringe3DError) -> PlanError:
+    return PlanError(
+        f"{options.out} is written, but the check failed: {str(problem).rstrip('.')}"
+        f"{_remedy(options, problem)}. 'fringe3d measure' repeats the check"
+    )
+
+
+def _told(options: ImportOptions, result: Measurement) -> str:
+    lines = [f"{options.out}: {summary(result)}"]
     if result.points is None:
         lines.append(
             "for points import again with --overwrite and --calibration FILE (or --rig FILE)"
@@ -189,8 +242,9 @@ def _remedy(options: ImportOptions, problem: Fringe3DError) -> str:
     is_pose = isinstance(problem, CalibrationError | EmptyResultError | RigError)
     if options.calibration is None or not is_pose:
         return ""
-    how = "without" if options.inverse_pose else "with"
+    if not options.inverse_pose:
+        return ". R and T the other way round do not fit either"
     return (
-        ". Or R and T map the other way than was said: import again "
-        f"{how} --inverse-pose, and with --overwrite"
+        ". Or R and T map the other way than was said: import again without --inverse-pose, and "
+        "with --overwrite"
     )

@@ -37,6 +37,8 @@ KNOWN_KEYS = (
                     "camera"),
 )  # fmt: skip
 
+FORMS = (".yml", ".yaml", ".xml", ".json")
+
 
 def read_opencv_calibration(
     path: Path,
@@ -89,6 +91,50 @@ def read_opencv_calibration(
         projector=None if is_camera else second,
         provenance=f"{path.name}, keys {keys.matrix1} {keys.matrix2} {keys.rotation}",
     )
+
+
+def opencv_text(
+    first: Device, second: Device, /, *, form: str = ".yml", second_from_first: bool = True
+) -> str:
+    """Return the text of a file that OpenCV, and `read_opencv_calibration`, reads.
+
+    Parameters
+    ----------
+    first, second : Device; the first, a camera, becomes the world frame
+    form : ".yml", ".yaml", ".xml" or ".json"
+    second_from_first : bool
+        OpenCV's convention ``X_second = R X_first + T``; False for the opposite direction.
+
+    Raises
+    ------
+    RigError
+        If the form is another, or the first device is a projector.
+    """
+    if form.lower() not in FORMS:
+        raise RigError(f"expected a name that ends in {', '.join(FORMS)}, found '{form}'")
+    if first.role != "camera":
+        raise RigError(f"expected a camera as first device, found projector '{first.name}'")
+    keys = next(k for k in reversed(KNOWN_KEYS[:4]) if k.second_role == second.role)
+    pose = second.device_from_world @ first.device_from_world.inverse()
+    pose = pose if second_from_first else pose.inverse()
+    flags = cv2.FILE_STORAGE_WRITE | cv2.FILE_STORAGE_MEMORY
+    storage = cv2.FileStorage(f"calibration{form.lower()}", flags)
+    for device, matrix_key, distortion_key, size_key in (
+        (first, keys.matrix1, keys.distortion1, "image_size1"),
+        (second, keys.matrix2, keys.distortion2, "image_size2"),
+    ):
+        storage.write(matrix_key, device.camera_matrix)
+        storage.write(distortion_key, _coefficients(device)[None])
+        storage.write(size_key, np.array([[device.n_cols, device.n_rows]], np.int32))
+    storage.write(keys.rotation, pose.rotation)
+    storage.write(keys.translation, pose.translation[:, None])
+    return str(storage.releaseAndGetString())
+
+
+def _coefficients(device: Device) -> NDArray[np.float64]:
+    """Return the distortion, 5 numbers or as many as OpenCV needs."""
+    used = int(np.flatnonzero(device.distortion).max(initial=-1)) + 1
+    return device.distortion[: next(n for n in (5, 8, 12, 14) if n >= used)]
 
 
 def _second(
