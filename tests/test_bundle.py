@@ -13,19 +13,17 @@ from scipy.spatial.transform import Rotation
 
 from board_series import BOARD, C1, C2, RIG, board_views, errors, sizes
 from fringe3d.calibrate import BoardOptions, calibrate_board
+from fringe3d.calibrate._adjusting import adjusted, eliminated, moved
 from fringe3d.calibrate._board_start import groups_of
 from fringe3d.calibrate._bundle import (
     N_POSE,
     Loss,
     Problem,
     State,
-    adjusted,
     batch_slopes,
     batches_of,
     cost_of,
-    eliminated,
     loss_and_weight,
-    moved,
     normal_equations,
     residuals,
 )

@@ -59,7 +59,7 @@ def test_measure_says_that_devices_moved(rig: Rig, recording: Recording) -> None
     assert rig.projector is not None
     good = measure(replace(scan, rig=rig))
     assert not any(f.name == "moved_px" for f in good.findings)
-    moved = replace(rig, projector=kicked(rig.projector, 4))
+    moved = replace(rig, projector=kicked(rig.projector, 5))
     result = measure(replace(scan, rig=moved))
     told = [f for f in result.warnings if f.name == "moved_px"]
     assert len(told) == 1

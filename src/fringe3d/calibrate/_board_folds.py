@@ -8,11 +8,11 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from fringe3d.calibrate._adjusting import adjusted
 from fringe3d.calibrate._bundle import (
     Batch,
     Problem,
     State,
-    adjusted,
     batches_of,
     loss_and_weight,
     residuals,

@@ -7,12 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from fringe3d.calibrate._adjusting import efficiencies, eliminated
 from fringe3d.calibrate._bundle import (
     N_POSE,
     Problem,
     State,
-    efficiencies,
-    eliminated,
     normal_equations,
 )
 from fringe3d.model.covariance import DEVICE_NUMBERS

@@ -10,7 +10,10 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from fringe3d.calibrate._board_information import Information
-from fringe3d.calibrate._bundle import N_DEVICE, State
+from fringe3d.calibrate._bundle import (
+    N_DEVICE,
+    State,
+)
 from fringe3d.model.covariance import DEVICE_NUMBERS
 
 BoardLens = Literal[

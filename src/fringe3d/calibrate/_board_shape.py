@@ -9,7 +9,11 @@ import numpy as np
 
 from fringe3d.calibrate._board_folds import held_out_losses, thinned
 from fringe3d.calibrate._board_start import settled
-from fringe3d.calibrate._bundle import Problem, State, cost_of
+from fringe3d.calibrate._bundle import (
+    Problem,
+    State,
+    cost_of,
+)
 
 BoardShape = Literal["flat", "bent", "free"]
 

@@ -9,17 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from fringe3d.calibrate._adjusting import COST_TOLERANCE, adjusted, with_noise
 from fringe3d.calibrate._bundle import (
-    COST_TOLERANCE,
     N_DEVICE,
     N_LENS,
     Group,
     Problem,
     State,
-    adjusted,
     batches_of,
     cost_of,
-    with_noise,
 )
 from fringe3d.calibrate._homography import focal_lengths, homography, plane_pose
 from fringe3d.calibrate.board_view import BoardView

@@ -9,8 +9,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from fringe3d.calibrate._adjusting import adjusted
 from fringe3d.calibrate._board_folds import held_out, placed_only, views_of, with_poses
-from fringe3d.calibrate._bundle import adjusted, residuals
+from fringe3d.calibrate._bundle import (
+    residuals,
+)
 from fringe3d.calibrate.board import BoardCalibration
 from fringe3d.health import Finding
 

@@ -21,21 +21,24 @@ def simulate(
     *,
     out: Path,
     thing: Annotated[str, Parameter(name="--object")] = "machine-part",
-    plan: str = "m1",
+    plan: str | None = None,
     seed: Annotated[int, Parameter(validator=at_least(0))] = 0,
     steps: Annotated[int, Parameter(validator=at_least(3))] = 4,
     period: Annotated[float | None, Parameter(validator=at_least(2))] = None,
     camera_size: str = "640x512",
     background: Literal["table", "wall", "none"] = "table",
     rays: int = 4,
-    positions: Annotated[int, Parameter(validator=at_least(1))] = 1,
+    positions: Annotated[int | None, Parameter(validator=at_least(1))] = None,
     tilts: str = "0",
     settings: Path | None = None,
+    bend: Annotated[float, Parameter(validator=at_least(0))] = 0.0,
+    print_error: Annotated[float, Parameter(validator=at_least(0))] = 0.0,
     overwrite: Overwrite = False,
 ) -> None:
     """Record a scan without hardware, with exact truth.
 
     Leaves an ordinary scan folder with truth.npz, simulation.toml and overview.png in OUT.
+    A calibration board becomes a series of poses for fringe3d calibrate.
     Example: fringe3d simulate kolibri --object teeth --plan m2 --seed 1 --out scan
 
     Parameters
@@ -46,9 +49,11 @@ def simulate(
         Folder of the scan; must not exist yet.
     thing
         plane, prism, machine-part, teeth, sphere, ball-bar, flat-plate, step-gauge, bust,
-        two-bodies, thin-wire, hand, or a file: STL, PLY or OBJ, in mm.
+        two-bodies, thin-wire, hand, or a file: STL, PLY or OBJ, in mm. Or a board, as
+        chessboard:9x7:7mm, charuco:11x8:7mm:5mm or a board.toml, held into the volume.
     plan
-        What is projected: the images of a method, m0 to m6, or a plan.toml.
+        What is projected: the images of a method, m0 to m6, or a plan.toml; m1 by default, m0 for a
+        board.
     seed
         The same seed gives the same bytes.
     steps
@@ -62,22 +67,29 @@ def simulate(
     rays
         Rays for each pixel: 1, 4, 9 or 16.
     positions
-        Turn the object on a rotary table to that many positions: a series of scans.
+        Turn the object on a rotary table to that many positions: a series of scans. Poses of a
+        board; 12 by default.
     tilts
         Tilts of the table, degrees, with commas between: a series for each.
     settings
         TOML file with [surface], [camera], [projector] and [recording]: noise, gamma, blur,
         black level, vibration, motion, dropped images ... as in the simulation.toml of any scan.
+    bend
+        By how much the rim of a board is bent, mm.
+    print_error
+        Standard deviation of the places of its corners, mm.
     """
     from fringe3d.io.importing import parse_size
 
     with simulator_installed("simulate"):
+        from fringe3d.cli.board_simulator import N_POSES, is_board
         from fringe3d.cli.simulator import SimulateOptions, parse_tilts, run_simulation
 
+    default_plan, default_positions = ("m0", N_POSES) if is_board(thing) else ("m1", 1)
     options = SimulateOptions(
         preset=preset,
         thing=thing,
-        plan=plan,
+        plan=plan or default_plan,
         seed=seed,
         out=out,
         steps=steps,
@@ -85,9 +97,11 @@ def simulate(
         camera_size=parse_size(camera_size, "--camera-size"),
         background=background,
         n_rays=rays,
-        positions=positions,
+        positions=positions or default_positions,
         tilts_deg=parse_tilts(tilts),
         settings=settings,
+        bend_mm=bend,
+        print_error_mm=print_error,
         overwrite=overwrite,
     )
     with Reporter(quiet=False).running() as reporter:

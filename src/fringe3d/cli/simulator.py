@@ -12,6 +12,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fringe3d.cli.board_simulator import (
+    BoardSeries,
+    board_series,
+    is_board,
+    write_series_truth,
+)
 from fringe3d.cli.console import Reporter
 from fringe3d.cli.stage_cache import prepare_cached
 from fringe3d.errors import Fringe3DError, MethodError, PlanError
@@ -29,6 +35,7 @@ from fringe3d.simulate import (
     Preset,
     ProjectorOptics,
     Recording,
+    Scene,
     Setup,
     Stage,
     Surface,
@@ -47,7 +54,7 @@ KINDS = {
 }
 
 HEAD = ("preset", "object", "plan", "seed", "position", "steps", "period_px", "camera_size",
-        "background", "rays")  # fmt: skip
+        "background", "rays", "bend_mm", "print_error_mm")  # fmt: skip
 """Keys of a ``simulation.toml`` that repeat the command line; as settings they are not read."""
 
 
@@ -69,6 +76,8 @@ class SimulateOptions:
     tilts_deg: tuple[float, ...]
     settings: Path | None
     overwrite: bool
+    bend_mm: float = 0.0
+    print_error_mm: float = 0.0
 
 
 def run_simulation(options: SimulateOptions, reporter: Reporter, /) -> str:
@@ -78,21 +87,22 @@ def run_simulation(options: SimulateOptions, reporter: Reporter, /) -> str:
     settings = _settings(options)
     try:
         plan = _plan(options, preset)
-        scene = preset.scene(
-            _thing(options),
-            settings["surface"],
-            background=options.background,
-            scaled=options.thing in OBJECTS,
-        )
+        series = _series(options, preset)
         setup = Setup(camera=settings["camera"], projector=settings["projector"],
                       recording=settings["recording"], n_rays=options.n_rays)  # fmt: skip
-        scenes = list(turntable(scene, n_positions=options.positions,
-                                tilts_deg=options.tilts_deg))  # fmt: skip
+        scenes = (
+            series.scenes(preset, settings["surface"], options.background)
+            if series is not None
+            else _turned(options, preset, settings["surface"])
+        )
         with new_folder(options.out, overwrite=options.overwrite) as folder:
             for number, turned in enumerate(scenes):
                 stage = prepare_cached(preset.rig, turned, setup, progress=reporter.step)
-                place = folder if len(scenes) == 1 else folder / f"{number:03d}"
+                is_one = len(scenes) == 1 and series is None
+                place = folder if is_one else folder / f"{number:03d}"
                 _write(place, stage, plan, options, settings, number, reporter)
+            if series is not None:
+                write_series_truth(folder, series, preset)
             if len(scenes) > 1:
                 draw_scene(folder / "overview.png", stage, plan, title=_title(options))
     except Fringe3DError:
@@ -105,6 +115,27 @@ def run_simulation(options: SimulateOptions, reporter: Reporter, /) -> str:
         f"{scans} of {plan.n_images} images, {len(preset.rig.cameras)} camera(s) {width} x "
         f"{height} px, with truth -> {options.out}"
     )
+
+
+def _series(options: SimulateOptions, preset: Preset) -> BoardSeries | None:
+    """Return the series of a board, where the object is one."""
+    if not is_board(options.thing):
+        return None
+    return board_series(
+        options.thing,
+        preset,
+        n_poses=options.positions,
+        bend_mm=options.bend_mm,
+        print_error_mm=options.print_error_mm,
+        seed=options.seed,
+    )
+
+
+def _turned(options: SimulateOptions, preset: Preset, surface: Surface) -> list[Scene]:
+    """Return the object on its table, in all positions."""
+    scene = preset.scene(_thing(options), surface, background=options.background,
+                         scaled=options.thing in OBJECTS)  # fmt: skip
+    return list(turntable(scene, n_positions=options.positions, tilts_deg=options.tilts_deg))
 
 
 def _preset(options: SimulateOptions) -> Preset:
@@ -123,7 +154,8 @@ def _hint(typed: str, known: Iterable[str]) -> str:
 
 def _inputs(options: SimulateOptions) -> tuple[Path | None, ...]:
     """Return the files that go in, which the output must not replace."""
-    thing = None if options.thing in OBJECTS else Path(options.thing)
+    in_words = options.thing in OBJECTS or ":" in options.thing
+    thing = None if in_words else Path(options.thing)
     plan = Path(options.plan) if options.plan.endswith(".toml") else None
     return thing, plan, options.settings
 
@@ -195,7 +227,8 @@ def _write(
         "seed": options.seed, "position": number, "steps": options.steps,
         "camera_size": list(options.camera_size), "background": options.background,
         "rays": options.n_rays,
-    }  # fmt: skip
+    } | ({"bend_mm": options.bend_mm, "print_error_mm": options.print_error_mm}
+         if is_board(options.thing) else {})  # fmt: skip
     if options.period_px is not None:
         head["period_px"] = options.period_px
     (folder / "simulation.toml").write_text(settings_text(head, settings), encoding="utf-8")
@@ -231,7 +264,8 @@ def _fringe_order(truth: Truth, plan: PatternPlan) -> NDArray[np.int32]:
 
 
 def _title(options: SimulateOptions) -> str:
-    return f"{Path(options.thing).stem} on {options.preset}, plan {Path(options.plan).stem}"
+    thing = options.thing if ":" in options.thing else Path(options.thing).stem
+    return f"{thing} on {options.preset}, plan {Path(options.plan).stem}"
 
 
 def parse_tilts(text: str, /) -> tuple[float, ...]:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
+import tomlkit
 from pydantic import Field
 
 from fringe3d.errors import PlanError
@@ -101,6 +102,23 @@ def read_board(text: str, /) -> Board:
         raise PlanError(
             f"--board '{text}': {problem}. Expected as {EXAMPLES}, or a board.toml"
         ) from None
+
+
+def board_text(board: Board, /) -> str:
+    """Return the text of the ``board.toml`` that `read_board` reads back."""
+    squares = 1 if board.kind == "charuco" else 0
+    lines: dict[str, Any] = {
+        "format": "fringe3d-board/1",
+        "kind": board.kind,
+        "size": [board.n_cols + squares, board.n_rows + squares],
+    }
+    if board.has_scale:
+        lines["pitch_mm"] = board.pitch_mm
+    if board.kind == "charuco":
+        lines["marker_mm" if board.has_scale else "marker_part"] = board.marker_mm
+        lines["dictionary"] = board.dictionary
+        lines["layout"] = "legacy" if board.is_legacy else "new"
+    return tomlkit.dumps(lines)
 
 
 def _parsed(text: str) -> Board:
