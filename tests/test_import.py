@@ -459,7 +459,7 @@ def test_import_finds_in_which_direction_r_and_t_map(
     write_calibration((origin, turned[1]), Path("stereo.yml"))
     main([*DESCRIBED, "--calibration", "stereo.yml", "--depth", "310:370"])
     printed = capsys.readouterr()
-    assert "so they fit the images (--inverse-pose)" in printed.out
+    assert "(--inverse-pose): so they fit the images better" in printed.out
     found = read_scan(images).rig
     assert found is not None
     np.testing.assert_allclose(

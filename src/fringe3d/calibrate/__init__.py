@@ -12,6 +12,7 @@ from fringe3d.calibrate.board_judging import (
     leave_poses_out,
 )
 from fringe3d.calibrate.board_view import BoardView
+from fringe3d.calibrate.comparing import RigComparison, compare_rigs
 from fringe3d.calibrate.corner_light import light_on_corners
 from fringe3d.calibrate.homologous import Homologous, Sight, homologous_points
 from fringe3d.calibrate.judging import Rest, check_fit, region_points, rests
@@ -45,12 +46,14 @@ __all__ = [
     "PoseChange",
     "PoseLeftOut",
     "Rest",
+    "RigComparison",
     "ShapeTrial",
     "Sight",
     "calibrate_board",
     "check_board",
     "check_fit",
     "check_poses",
+    "compare_rigs",
     "fit_poses",
     "fit_projector",
     "focal_sigma_by_poses",

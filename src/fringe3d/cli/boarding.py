@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 from cyclopts import Parameter
+from numpy.typing import NDArray
 
 from fringe3d.cli.calibrating import LENS_NAMES, calibrate
 from fringe3d.cli.console import Reporter, say
@@ -21,7 +22,9 @@ from fringe3d.model import Board, MeasuringVolume, Rig, RigidTransform, Scan
 
 if TYPE_CHECKING:
     from fringe3d.board_scans import Found
-    from fringe3d.calibrate import BoardCalibration, BoardView, DeviceSize
+    from fringe3d.calibrate import BoardCalibration, BoardView, DeviceSize, RigComparison
+
+Floats = NDArray[np.float64]
 
 BOARD_LENS_NAMES = LENS_NAMES | {"rational": "rational"}
 
@@ -85,7 +88,8 @@ def board_series(
     scan
         Scan file that describes the images in each of the folders, where they have no scan.toml.
     rig
-        Former rig: the world frame stays with its first camera, and its volume is kept.
+        Former rig: the world frame stays with its first camera, its volume is kept, and it is
+        compared with the new one over the measuring volume (NAME-compared.png).
     keep_lenses
         Take the lenses from --rig as they are.
     distortion
@@ -153,11 +157,12 @@ def calibrate_series(options: SeriesOptions, reporter: Reporter, /) -> tuple[str
     from fringe3d.io.rigfile import read_rig, rig_text
     from fringe3d.report.board import board_markdown, board_record, board_text, volume_grid
     from fringe3d.report.board_pictures import board_targets, draw_board, draw_volume
+    from fringe3d.report.comparison import comparison_record, draw_comparison
 
-    targets = board_targets(options.out)
+    former = read_rig(options.rig) if options.rig else None
+    targets = board_targets(options.out, is_compared=former is not None)
     for target in reversed(targets):
         require_writable(target, overwrite=options.overwrite, inputs=[options.folder])
-    former = read_rig(options.rig) if options.rig else None
     views, devices = _seen(options, former, reporter)
     reporter.stage("calibrating", of=3)
     wanted = BoardOptions(
@@ -172,14 +177,31 @@ def calibrate_series(options: SeriesOptions, reporter: Reporter, /) -> tuple[str
     depth_mm = options.depth_mm or _depth_range(found)
     calibrated = _rig(options, former, found, depth_mm)
     record = board_record(found, left_out, findings, calibrated, depth_mm)
+    points, depths = volume_grid(calibrated, depth_mm)
+    pictures = list(targets[:2])
+    if former is not None and (compared := _compared(former, calibrated, points)) is not None:
+        record["comparison"] = comparison_record(compared, unit=record["unit"])
+        pictures.append(targets[2])
+        draw_comparison(targets[2], compared, calibrated.cameras[0], depths, unit=record["unit"],
+                        overwrite=options.overwrite)  # fmt: skip
     reporter.stage("writing", of=3)
     draw_board(targets[0], found, record, overwrite=options.overwrite)
-    draw_volume(targets[1], found, *volume_grid(calibrated, depth_mm), overwrite=options.overwrite)
+    draw_volume(targets[1], found, points, depths, overwrite=options.overwrite)
     command = shlex.join(["fringe3d", *sys.argv[1:]])
-    report = board_markdown(record, command=command, pictures=[t.name for t in targets[:2]])
-    write_text(targets[2], report, overwrite=options.overwrite)
+    report = board_markdown(record, command=command, pictures=[p.name for p in pictures])
+    write_text(targets[-2], report, overwrite=options.overwrite)
     write_text(options.out, rig_text(calibrated), overwrite=options.overwrite)
     return board_text(record), record | {"out": str(options.out)}
+
+
+def _compared(former: Rig, now: Rig, points: Floats) -> RigComparison | None:
+    """Compare with the former rig; None where it has not the same devices."""
+    from fringe3d.calibrate import compare_rigs
+
+    try:
+        return compare_rigs(former, now, points)
+    except CalibrationError:
+        return None
 
 
 def pose_folders(options: SeriesOptions, /) -> list[Path]:

@@ -40,7 +40,13 @@ from fringe3d.report.folder import summary
 __all__ = ["ImportOptions", "import_recording"]
 
 POSE_FINDINGS = ("epipolar_residual_px", "trinocular_residual_px", "lost_part", "texture_shift_px")
-"""Of these one at least is bad where R and T are taken the wrong way round."""
+"""Of these one at least is bad where R and T are taken the wrong way round: but for cameras that
+stand mirror-like, with fringes of one direction."""
+
+POSE_ERRORS = (CalibrationError, EmptyResultError, RigError)
+
+MORE_POINTS = 1.05
+"""Times as many: so far one direction must be ahead to be taken for the right one."""
 
 
 def import_recording(options: ImportOptions, reporter: Reporter, /) -> str:
@@ -173,32 +179,44 @@ def _check_both_directions(
 
     What fits is taken, and said; where neither does, the first problem is told.
     """
-    problem, found = None, None
-    try:
-        found = _measured(options, reporter)
-    except (CalibrationError, EmptyResultError, RigError) as error:
-        problem = error
-    except Fringe3DError as error:
-        raise _failed(options, error) from None
-    if found is not None and not any(f.name in POSE_FINDINGS for f in found.warnings):
-        return _told(options, found)
     inverse = replace(options, inverse_pose=True)
-    try:
-        write_text(options.rig_out, _rig_text(inverse, cameras), overwrite=True)
-        other = _measured(inverse, reporter)
-    except Fringe3DError:
-        other = None
-    if other is not None and not any(f.name in POSE_FINDINGS for f in other.warnings):
-        note = (
-            "R and T map the second device to the first, not as OpenCV's: so they fit the images "
-            "(--inverse-pose)"
+    found = _tried(options, reporter)
+    if isinstance(found, Fringe3DError) and not isinstance(found, POSE_ERRORS):
+        raise _failed(options, found)
+    write_text(options.rig_out, _rig_text(inverse, cameras), overwrite=True)
+    other = _tried(inverse, reporter)
+    both = _n_points(found), _n_points(other)
+    fit = f"{both[0]:,} points as OpenCV's, {both[1]:,} the other way round"
+    if both[1] > MORE_POINTS * both[0] and not isinstance(other, Fringe3DError):
+        return (
+            f"{_told(inverse, other)}\nR and T map the second device to the first "
+            f"(--inverse-pose): so they fit the images better ({fit})"
         )
-        return f"{_told(inverse, other)}\n{note}"
     write_text(options.rig_out, rig, overwrite=True)
-    if found is None:
-        assert problem is not None
-        raise _failed(options, problem)
-    return _told(options, found)
+    if isinstance(found, Fringe3DError):
+        raise _failed(options, found)
+    told = _told(options, found)
+    if both[1] > both[0] / MORE_POINTS:
+        told += (
+            f"\nwarning: R and T fit in both directions ({fit}), and are taken as OpenCV's, from "
+            "the first device to the second. If the cloud is deformed, import with --inverse-pose"
+        )
+    return told
+
+
+def _tried(options: ImportOptions, reporter: Reporter) -> Measurement | Fringe3DError:
+    try:
+        return _measured(options, reporter)
+    except Fringe3DError as problem:
+        return problem
+
+
+def _n_points(result: Measurement | Fringe3DError) -> int:
+    """Return the number of points; none where the checks of the pose contradict it."""
+    if isinstance(result, Fringe3DError) or result.points is None:
+        return 0
+    is_wrong = any(f.name in POSE_FINDINGS for f in result.warnings)
+    return 0 if is_wrong else result.points.n_points
 
 
 def _check(options: ImportOptions, reporter: Reporter) -> str:
@@ -239,7 +257,7 @@ def _told(options: ImportOptions, result: Measurement) -> str:
 
 def _remedy(options: ImportOptions, problem: Fringe3DError) -> str:
     """Return what else may mend a pose that contradicts the images."""
-    is_pose = isinstance(problem, CalibrationError | EmptyResultError | RigError)
+    is_pose = isinstance(problem, POSE_ERRORS)
     if options.calibration is None or not is_pose:
         return ""
     if not options.inverse_pose:

@@ -54,8 +54,11 @@ KINDS = {
 }
 
 HEAD = ("preset", "object", "plan", "seed", "position", "steps", "period_px", "camera_size",
-        "background", "rays", "bend_mm", "print_error_mm")  # fmt: skip
+        "background", "rays")  # fmt: skip
 """Keys of a ``simulation.toml`` that repeat the command line; as settings they are not read."""
+
+BOARD_HEAD = ("bend_mm", "print_error_mm")
+"""More of them, of a board."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -163,7 +166,7 @@ def _inputs(options: SimulateOptions) -> tuple[Path | None, ...]:
 def _settings(options: SimulateOptions) -> dict[str, Any]:
     if options.settings is None:
         return {name: kind() for name, kind in KINDS.items()}
-    return read_settings(options.settings, KINDS, ignored=HEAD)
+    return read_settings(options.settings, KINDS, ignored=HEAD + BOARD_HEAD)
 
 
 def _plan(options: SimulateOptions, preset: Preset) -> PatternPlan:

@@ -213,6 +213,7 @@ def board_text(record: dict[str, Any], /) -> str:
         f"{corners:,} corners",
         *(f"{f['level']}: {f['text']}" for f in record["health"] if f["level"] == "ok"),
         *_volume_lines(record),
+        *_comparison_lines(record),
         "",
         *_device_lines(record),
         "",
@@ -242,6 +243,11 @@ def _volume_lines(record: dict[str, Any]) -> list[str]:
         f"points in the measuring volume, sigma from the calibration, {record['unit']}: "
         f"{'; '.join(parts)}"
     ]
+
+
+def _comparison_lines(record: dict[str, Any]) -> list[str]:
+    found = record.get("comparison")
+    return [found["text"]] if found else []
 
 
 def _device_lines(record: dict[str, Any]) -> list[str]:

@@ -47,7 +47,7 @@ def draw_board(
         _draw_arrows(row[0], calibration, device, colours)
         _draw_histogram(row[1], calibration, device)
         _draw_poses(row[2], record, device, colours)
-    _save(path, figure, overwrite=overwrite)
+    save_figure(path, figure, overwrite=overwrite)
 
 
 def _residuals(calibration: BoardCalibration, device: Device) -> Floats:
@@ -151,7 +151,7 @@ def draw_volume(
         figure.colorbar(image, ax=list(axes[: len(depths)]), shrink=0.8, pad=0.01)
     if n_shapes:
         _draw_shape(axes[-1], calibration, unit)
-    _save(path, figure, overwrite=overwrite)
+    save_figure(path, figure, overwrite=overwrite)
 
 
 def _draw_shape(axis: Axes, calibration: BoardCalibration, unit: str) -> None:
@@ -167,7 +167,8 @@ def _draw_shape(axis: Axes, calibration: BoardCalibration, unit: str) -> None:
     axis.figure.colorbar(dots, ax=axis, shrink=0.8, pad=0.02)
 
 
-def _save(path: Path, figure: Figure, *, overwrite: bool) -> None:
+def save_figure(path: Path, figure: Figure, /, *, overwrite: bool) -> None:
+    """Write a picture, completely or not at all."""
     require_writable(path, overwrite=overwrite)
     aside = path.with_name(f".{path.name}.partial")
     _try_writing(path, aside, lambda: figure.savefig(aside, format="png"))
@@ -185,7 +186,11 @@ def _try_writing(path: Path, aside: Path, write: Callable[[], object]) -> None:
             aside.unlink()
 
 
-def board_targets(out: Path, /) -> Sequence[Path]:
-    """Return the files of a calibration: pictures, report, and last the rig itself."""
-    names = ("-board.png", "-volume.png", "-board.md")
+def board_targets(out: Path, /, *, is_compared: bool = False) -> Sequence[Path]:
+    """Return the files of a calibration: pictures, report, and last the rig itself.
+
+    The picture of the comparison with a former rig, if there is one, follows the other pictures.
+    """
+    compared = ("-compared.png",) if is_compared else ()
+    names = ("-board.png", "-volume.png", *compared, "-board.md")
     return [*(out.with_name(f"{out.stem}{name}") for name in names), out]
