@@ -105,8 +105,8 @@ def measure(
         Find the poses of all devices from this scan first, starting from those of the rig; leaves
         them in OUT/rig.toml. Lenses, and the distance of the first two devices, stay.
     """
-    from fringe3d.correspond import keep_curves
     from fringe3d.calibrate import check_poses
+    from fringe3d.correspond import keep_curves
     from fringe3d.io.atomic import require_writable
     from fringe3d.io.cache import mapped
     from fringe3d.io.importing import parse_depth
