@@ -46,7 +46,7 @@ def swapped_bias(
     index = np.linspace(0, len(task.pixels) - 1, BIAS_SAMPLE).astype(int)
     pixels = np.repeat(task.pixels[index], BIAS_DEPTHS, axis=0)
     parts = np.tile(np.linspace(0, 1, BIAS_DEPTHS), len(index))
-    near, far = np.repeat(task.wide_ends[index], BIAS_DEPTHS, axis=0).T
+    near, far = np.repeat(task.wide_ends(index), BIAS_DEPTHS, axis=0).T
     depths = near + parts * (far - near)
     origin, directions = rays(views.camera1, pixels)
     points = origin + depths[:, None] * directions

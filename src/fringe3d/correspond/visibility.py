@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter
 
+from fringe3d.correspond import _light
 from fringe3d.correspond.occlusion import hidden_from
 from fringe3d.correspond.surfaces import surfaces
 from fringe3d.correspond.weighing import TWO_PI, Choice, Task
@@ -21,6 +22,9 @@ CONTESTED = 0.5
 """Part of a surface whose light a larger one takes: borders of true surfaces stay below."""
 
 SAMPLE = 2000
+
+GAP_COLS = 8
+"""Every eighth column tells how far apart pixels of C1 lie in the projector image."""
 
 WEAK, AROUND_PX = 0.25, 5
 """Part of the largest modulation in a window of so many pixels: what is fainter than that may be
@@ -51,12 +55,12 @@ def takes_foreign_light(task: Task, chosen: Choice, trusted: Bools, projector: D
         return wrong
     surface = surfaces(task, chosen.order, claims)
     sizes = np.bincount(surface)
-    points = task.origin + chosen.depth_mm[claims, None] * task.directions[claims]
-    ray, light = np.linalg.norm(points - projector.center_world, axis=1), project(projector, points)
+    claimed = np.flatnonzero(claims)
+    ray, light = np.empty(len(claimed)), np.empty((len(claimed), 2))
+    _light.write_light(claimed, chosen.depth_mm, task.rays_p, task.projector[:2], ray, light)
     cell, n_cells = _cells(light, task, claims)
-    owner = np.full(n_cells, -1)
-    by_size = np.argsort(sizes[surface], kind="stable")
-    owner[cell[by_size]] = by_size  # the last one, of the largest surface, stays
+    owner = np.empty(n_cells, np.int64)
+    _light.find_owners(cell, sizes[surface], owner)
     apart = np.abs(ray - ray[owner[cell]]) > APART * _way_in_a_period(task, chosen, projector)
     contested = apart & (surface != surface[owner[cell]])
     share = np.bincount(surface, contested) / np.maximum(sizes, 1)
@@ -111,7 +115,7 @@ def is_outshone(task: Task, chosen: Choice, /) -> Bools:
     """
     views = task.views
     faint1, faint2 = (_faint(phases.modulation) for phases in (views.phases1, views.phases2))
-    points = task.origin + chosen.depth_mm[:, None] * task.directions
+    points = task.origin + chosen.depth_mm[:, None] * task.directions()
     places = project(views.camera2, points)
     col, row = np.rint(np.nan_to_num(places, nan=-1)).astype(np.int64).T
     is_inside = (row >= 0) & (col >= 0) & (row < faint2.shape[0]) & (col < faint2.shape[1])
@@ -130,11 +134,13 @@ def _cells(light: NDArray[np.float64], task: Task, claims: Bools) -> tuple[NDArr
 
     Cells are twice as wide as pixels of C1 lie apart there: surfaces leave hardly any empty.
     """
-    sheet = np.full((*task.valid.shape, 2), np.nan)
-    place = np.full((len(claims), 2), np.nan)
-    place[claims] = light
-    sheet[task.valid] = place
-    gaps = np.linalg.norm(np.diff(sheet, axis=0), axis=-1)
+    place = np.full(len(claims), -1)
+    place[claims] = np.arange(len(light))
+    number = task.index[:, ::GAP_COLS]
+    pairs = np.stack([number[:-1], number[1:]], axis=-1)
+    pairs = place[pairs[(pairs >= 0).all(axis=-1)]]
+    first, second = pairs[(pairs >= 0).all(axis=-1)].T
+    gaps = np.linalg.norm(light[first] - light[second], axis=-1)
     gap = float(np.nanmedian(gaps)) if np.isfinite(gaps).any() else 1.0
     found = np.nan_to_num(np.floor(light / max(2 * gap, 1.0)), nan=0.0).astype(np.int64)
     found -= found.min(axis=0)
@@ -149,6 +155,6 @@ def _way_in_a_period(task: Task, chosen: Choice, projector: Device) -> float:
     phases = task.views.phases1
     turns = chosen.order[index] + task.first[0][index] / (2 * np.pi)
     next_one = sheet_crossing(
-        projector, task.origin, task.directions[index], (turns + 1) * phases.period_px, phases.angle
+        projector, task.origin, task.directions(index), (turns + 1) * phases.period_px, phases.angle
     )
     return float(np.nanmedian(np.abs(next_one - chosen.depth_mm[index])))

@@ -243,21 +243,27 @@ class Task:
         rows, cols = np.divmod(self.where, np.int32(self.views.phases1.phase.shape[1]))
         return np.stack([cols, rows], axis=1).astype(np.float64)
 
-    @cached_property
-    def directions(self) -> NDArray[np.float64]:
-        """Return the directions of the viewing rays in the world, (n, 3)."""
-        return self._at(self._directions)
+    def directions(self, index: NDArray[Any] | None = None, /) -> NDArray[np.float64]:
+        """Return the directions of the viewing rays in the world, (n, 3), or of some of them."""
+        where = self.where if index is None else self.where[index]
+        return np.asarray(self._directions.reshape(-1, 3)[where])
+
+    @property
+    def rays_p(self) -> tuple[NDArray[np.int32], NDArray[np.float64], NDArray[np.float64]]:
+        """Return which pixels they are, (n,), the rays of all, (pixel, 3), and the way to the
+        projector's frame."""
+        return self.where, self._directions.reshape(-1, 3), self._rotations[0]
 
     @property
     def rays_2(self) -> tuple[NDArray[np.int32], NDArray[np.float64], NDArray[np.float64]]:
-        """Return which pixels they are, (n,), the rays of all, (pixel, 3), and the way to C2."""
+        """Return the same, and the way to the frame of C2."""
         return self.where, self._directions.reshape(-1, 3), self._rotations[1]
 
-    @cached_property
-    def wide_ends(self) -> NDArray[np.float64]:
-        """Return the depths, (n, 2), mm, in which surfaces are expected; NaN for missing rays."""
-        ends = np.array(self._at(self.tables.depths_mm), np.float64)
-        ends[self.misses] = np.nan
+    def wide_ends(self, index: NDArray[Any], /) -> NDArray[np.float64]:
+        """Return the depths, (m, 2), mm, in which surfaces are expected on some of the rays; NaN
+        where they miss the volume."""
+        ends = np.array(self.tables.depths_mm.reshape(-1, 2)[self.where[index]], np.float64)
+        ends[self.misses[index]] = np.nan
         return ends
 
     def _at(self, table: NDArray[Any]) -> NDArray[Any]:
