@@ -7,7 +7,9 @@ reading the same images once with one thread, in the same run. The scene is simu
 a lit table, rig `kolibri`, for M5 `kolibri-m5`) with a calibration that is wrong by 0.2 px; for
 "M6, stored bias" the bias is what M6 learnt from the same images. "found" and "wrong" are parts of
 the object's pixels that are lit and seen by both cameras. With --busy the processor's time counts:
-other programs then disturb less; that of two threads is the sum of both.
+other programs then disturb less; that of two threads is the sum of both. "memory" is what one
+measurement takes at most beside its images and beside "kept": tables of the rig that later
+measurements use again. --plot FILE draws how the times grow with the pixels.
 """
 
 import argparse
@@ -16,11 +18,13 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
+import matplotlib.pyplot as plt
 import numba
 import numpy as np
 from _timing import Times, machine, peak_bytes, read_once, times
 from orders.scenes import Recording, Scene, recorded
 
+from fringe3d.correspond import curves
 from fringe3d.model import Rig, Scan
 from fringe3d.options import MeasureOptions, keep_images
 from fringe3d.pipeline import Measurement, measure
@@ -76,7 +80,8 @@ def task_of(method: str, recording: Recording) -> Task:
 
 HEADER = (
     "size", "method", "images", "threads", "floor, ms", "measure, ms", "Mpx/s", "measure / floor",
-    "one thread / this", "peak memory, MB", "memory / images", "found", "wrong", "stages, ms",
+    "one thread / this", "memory, MB", "memory / images", "kept, MB", "found", "wrong",
+    "stages, ms",
 )  # fmt: skip
 
 
@@ -106,10 +111,18 @@ def lines(
                 f"{size[0]}x{size[1]}", method, len(images[0]), n_threads, f"{floor.least:.2f}",
                 _text(whole), f"{size[0] * size[1] / whole.least / 1e3:.2f}",
                 f"{whole.least / floor.least:.0f}", f"{alone / whole.least:.2f}",
-                f"{memory / 1e6:.0f}", f"{memory / n_bytes:.1f}", f"{right:.2%}", f"{wrong:.3%}",
-                stages,
+                f"{memory / 1e6:.0f}", f"{memory / n_bytes:.1f}", f"{_kept_bytes() / 1e6:.0f}",
+                f"{right:.2%}", f"{wrong:.3%}", stages,
             ]  # fmt: skip
             yield "| " + " | ".join(str(cell) for cell in n_threads_cells) + " |"
+
+
+def _kept_bytes() -> int:
+    """Return the size of the tables of all rays that are kept for the rig."""
+    kept = curves._STORE.kept.values()
+    tables = sum(t.curves.nbytes + t.wide.nbytes + t.inner.nbytes for t in kept)
+    rays = sum(t.ends.size // 2 * (3 * 8 + 4 * 4) for t in kept)  # directions and intervals
+    return tables + rays
 
 
 def _text(found: Times) -> str:
@@ -136,7 +149,9 @@ def main() -> None:
     parser.add_argument("--object", default="machine-part")
     parser.add_argument("--seconds", type=float, default=3.0, help="for each line")
     parser.add_argument("--busy", action="store_true", help="time of the processor")
+    parser.add_argument("--plot", help="draw the times over the pixels into this file")
     options = parser.parse_args()
+    rows = []
     print(f"{machine()}; times: least (median)\n")
     print("| " + " | ".join(HEADER) + " |")
     print("|" + "---|" * len(HEADER))
@@ -144,6 +159,23 @@ def main() -> None:
         methods = options.methods.split(";")
         for line in lines(size, options.object, methods, options.seconds, options.busy):
             print(line, flush=True)
+            rows.append([cell.strip() for cell in line.split("|")[1:-1]])
+    if options.plot:
+        plot(rows, options.plot)
+
+
+def plot(rows: Sequence[Sequence[str]], file: str) -> None:
+    """Draw how the times of one thread grow with the pixels; dotted: proportional to them."""
+    figure, axes = plt.subplots(figsize=(6, 4), layout="constrained")
+    for method in dict.fromkeys(row[1] for row in rows):
+        own = [row for row in rows if row[1] == method and row[3] == "1"]
+        pixels = np.array([np.prod(_size(row[0])) for row in own]) / 1e6
+        times_ms = np.array([float(row[5].split()[0]) for row in own])
+        axes.loglog(pixels, times_ms, "o-", label=f"{method}, {own[0][2]} images")
+        axes.loglog(pixels, times_ms[0] * pixels / pixels[0], ":", color="0.6")
+    axes.set(xlabel="Mpx of C1", ylabel="ms, one thread", title="A whole measurement")
+    axes.legend(frameon=False)
+    figure.savefig(file, dpi=120)
 
 
 if __name__ == "__main__":
