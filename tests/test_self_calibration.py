@@ -19,7 +19,7 @@ from fringe3d.cli.run import main
 from fringe3d.errors import EmptyResultError, MethodError
 from fringe3d.evaluate import fit_plane
 from fringe3d.io.rigfile import read_rig
-from fringe3d.model import Device, Rig, RigidTransform
+from fringe3d.model import Device, Fringe, Rig, RigidTransform
 from fringe3d.options import MeasureOptions
 from fringe3d.pipeline import Measurement, measure
 from fringe3d.self_calibration import KnownLength, self_calibrate
@@ -186,6 +186,17 @@ def test_two_cameras_without_projector_need_two_directions() -> None:
         fit_poses([seen(points_in_space(4000, 0), ONE)], former)
 
 
+def test_a_third_camera_is_found_with_the_others() -> None:
+    c3 = replace(C2, name="c3", device_from_world=PROJECTOR.device_from_world)
+    true = (C1, C2, c3, PROJECTOR)
+    former = (C1, kicked(C2, 1), kicked(c3, 3), kicked(PROJECTOR, 2))
+    fitted = fit_poses([seen(points_in_space(3000, 0), BOTH, devices=true)], former)
+    errors = pose_errors(fitted.devices, with_distance_of(true, former)).reshape(-1, 6)
+    assert np.abs(errors[:, :3]).max() < 2e-5
+    assert np.abs(errors[:, 3:]).max() < 0.02
+    assert fitted.n_numbers == 17
+
+
 def test_wrong_points_do_not_pull() -> None:
     former = (C1, kicked(C2, 1), kicked(PROJECTOR, 2))
     cloud = seen(points_in_space(4000, 0), BOTH, noise_px=0.02)
@@ -320,6 +331,12 @@ def test_what_cannot_be_found_is_refused(scans: Path) -> None:
     no_projector = replace(scan.rig, projector=None)
     with pytest.raises(MethodError, match="two directions with two cameras without a projector"):
         self_calibrate([scan], no_projector, MeasureOptions(direction="x"))
+    code = tuple(
+        stack.subset([i for i, p in enumerate(stack.plan.patterns) if not isinstance(p, Fringe)])
+        for stack in scan.stacks
+    )
+    with pytest.raises(MethodError, match="expected fringes in each direction"):
+        self_calibrate([replace(scan, stacks=code)], scan.rig)
     single = replace(scan, stacks=scan.stacks[:1])
     with pytest.raises(MethodError, match="two directions with one camera"):
         self_calibrate([single], scan.rig, MeasureOptions(direction="x"))

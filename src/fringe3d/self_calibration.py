@@ -204,6 +204,12 @@ def check_moved(
 def _decoded(scan: Scan, rig: Rig, options: MeasureOptions) -> _Recording:
     """Decode a scan, and choose how to find its correspondences."""
     stacks = [keep_images(stack, options) for stack in scan.stacks]
+    plan = stacks[0].plan
+    if set(plan.angles) - {fringes.angle for fringes in plan.fringe_sets}:
+        raise MethodError(
+            "self-calibration: expected fringes in each direction, found Gray code alone: its "
+            "cells are too coarse. Record fringes, too"
+        )
     choice = choose_method(rig, stacks, options)
     volume = volume_of(rig, stacks[0].device_name, options)
     stacks = [images_of(choice, stack, rig, volume, options) for stack in stacks]
@@ -221,10 +227,6 @@ def _decoded(scan: Scan, rig: Rig, options: MeasureOptions) -> _Recording:
         raise MethodError(
             f"self-calibration: expected fringes of two directions with {with_what}, found one: "
             "nothing then contradicts a wrong pose. Record both (fringe3d patterns --direction xy)"
-        )
-    if any(m.is_quantised for m in recording.maps):
-        raise MethodError(
-            "self-calibration: expected fringes, found Gray code alone. Record fringes, too"
         )
     return recording
 
