@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from fringe3d.calibrate import (
     FittedPoses,
     Homologous,
+    contradiction,
     fit_poses,
     homologous_points,
     located,
@@ -25,7 +26,7 @@ from fringe3d.health import EPIPOLAR_WARNING_PX, Finding
 from fringe3d.health.finding import Level
 from fringe3d.matching import best_direction_first, match
 from fringe3d.methods import choose_method, images_of, settle
-from fringe3d.model import NO_ORDER, Correspondences, Device, PhaseMap, Rig, Scan
+from fringe3d.model import NO_ORDER, Correspondences, Device, PhaseMap, Rejection, Rig, Scan
 from fringe3d.options import MeasureOptions, keep_images, volume_of
 from fringe3d.patterns import across
 
@@ -36,6 +37,9 @@ ROUNDS = 3
 
 CONTRADICTIONS = ("epipolar_residual_px", "trinocular_residual_px", "lost_part")
 """Findings after which it is asked which device moved."""
+
+SPARSE_POINTS = 30_000
+"""Pixels of C1 that are enough to tell which device moved."""
 
 NEAR_PX = 3.0
 """How far from a pixel of C1 the point may be that a known length begins at."""
@@ -189,16 +193,26 @@ def check_moved(
     if not found or len(devices) < 3 or any(m.is_quantised for m in maps):
         return []
     pairs = zip(phases[1].directions, maps, strict=True)
-    matches = _freely(maps, [d.like(m) for d, m in pairs], devices) or matches
+    sparse = [_sparse(m) for m in maps]
+    matches = _freely(sparse, [d.like(m) for d, m in pairs], devices) or matches
+    points = [homologous_of(phases[:2], matches, devices)]
     try:
-        moved = which_moved([homologous_of(phases[:2], matches, devices)], devices)
+        if contradiction(points, devices) < EPIPOLAR_WARNING_PX:
+            return []
+        moved = which_moved(points, devices)
     except EmptyResultError:
-        return []
-    if moved.residual_px < EPIPOLAR_WARNING_PX:
         return []
     level: Level = "error" if any(f.level == "error" for f in found) else "warning"
     advice = "Calibrate again (--self-calibrate)"
     return [Finding(level, "moved_px", moved.residual_px, f"{moved_text(moved)}. {advice}")]
+
+
+def _sparse(phases: PhaseMap) -> PhaseMap:
+    """Return the phases of about `SPARSE_POINTS` pixels on a grid."""
+    step = max(1, round(np.sqrt(phases.rejection.size / SPARSE_POINTS)))
+    left_out = np.full(phases.rejection.shape, np.uint16(Rejection.NO_MATCH))
+    left_out[::step, ::step] = 0
+    return phases.rejecting(left_out)
 
 
 def _decoded(scan: Scan, rig: Rig, options: MeasureOptions) -> _Recording:

@@ -17,7 +17,7 @@ from fringe3d.calibrate.corner_light import light_on_corners
 from fringe3d.calibrate.homologous import Homologous, Sight, homologous_points
 from fringe3d.calibrate.judging import Rest, check_fit, region_points, rests
 from fringe3d.calibrate.lit_points import LitPoints, lit_points
-from fringe3d.calibrate.moved import Moved, Mover, moved_text, which_moved
+from fringe3d.calibrate.moved import Moved, Mover, contradiction, moved_text, which_moved
 from fringe3d.calibrate.point_error import point_covariance
 from fringe3d.calibrate.poses import FittedPoses, PoseChange, fit_poses, located
 from fringe3d.calibrate.poses_judging import check_poses
@@ -54,6 +54,7 @@ __all__ = [
     "check_fit",
     "check_poses",
     "compare_rigs",
+    "contradiction",
     "fit_poses",
     "fit_projector",
     "focal_sigma_by_poses",

@@ -88,6 +88,17 @@ class Moved:
         return first.device if first.explained > EXPLAINED and is_alone else None
 
 
+def contradiction(scans: Sequence[Homologous], devices: Sequence[Device], /) -> float:
+    """Return the median by which homologous points contradict the calibration, projector px.
+
+    Raises
+    ------
+    EmptyResultError
+        If no points lie in front of the devices.
+    """
+    return contradiction_px(*problem_of_points(scans, devices))
+
+
 def which_moved(scans: Sequence[Homologous], devices: Sequence[Device], /) -> Moved:
     """Let each device alone move, and compare how well that explains the contradictions.
 
