@@ -435,7 +435,7 @@ def test_a_bias_seen_from_the_other_camera(axis: str, deg: float) -> None:
     origin2, directions2 = cv_rays(wrong, seen[inside])
     missed = pixels[inside] - cv_project(c1, origin2 + depth2[:, None] * directions2)
     assert np.linalg.norm(missed, axis=1).mean() > 0.1
-    found = swapped_bias(bias, task, true.projector, back.frame)
+    found = swapped_bias(bias, task, task.decide(bias), true.projector, back.frame)
     shown = found.displacement(seen[inside], depth2)
     np.testing.assert_allclose(shown, missed, atol=0.02)
     assert found.angle == bias.angle

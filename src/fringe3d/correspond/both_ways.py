@@ -16,8 +16,10 @@ from fringe3d.patterns import across
 SAME_ORDER = 0.5
 """Periods between what C1 and C2 decide for one point."""
 
-BIAS_SAMPLE, BIAS_DEPTHS = 2000, 3
-"""Rays and depths at which a smooth displacement is carried over to the other camera."""
+BIAS_SAMPLE, AROUND = 4000, 0.1
+"""Rays along which a smooth displacement is carried over to the other camera, and how far before
+and behind the chosen points, of the depth in which surfaces are expected: over all of it the
+displacement is not linear in the depth of the other camera."""
 
 
 def swapped(views: TwoViews, /) -> TwoViews:
@@ -35,19 +37,15 @@ def swapped(views: TwoViews, /) -> TwoViews:
 
 
 def swapped_bias(
-    bias: CalibrationBias, task: Task, projector: Device, frame: Frame
+    bias: CalibrationBias, task: Task, chosen: Choice, projector: Device, frame: Frame
 ) -> CalibrationBias:
-    """Return the same bias as C2 and the projector see it in C1.
+    """Return the same bias as C2 and the projector see it in C1, around the chosen points.
 
     A pixel of C1 and a light sheet place a point; C2 sees it displaced. From there, with the same
     sheet, C2 places another point, which C1 sees displaced against its pixel.
     """
     views, angle = task.views, task.views.phases1.angle
-    index = np.linspace(0, len(task.pixels) - 1, BIAS_SAMPLE).astype(int)
-    pixels = np.repeat(task.pixels[index], BIAS_DEPTHS, axis=0)
-    parts = np.tile(np.linspace(0, 1, BIAS_DEPTHS), len(index))
-    near, far = np.repeat(task.wide_ends(index), BIAS_DEPTHS, axis=0).T
-    depths = near + parts * (far - near)
+    pixels, depths = _places(task, chosen)
     origin, directions = rays(views.camera1, pixels)
     points = origin + depths[:, None] * directions
     x, y = project(projector, points).T
@@ -59,6 +57,15 @@ def swapped_bias(
     terms = terms_of(seen[usable], depths2[usable], frame.middle, frame.scale)
     coefficients = np.linalg.lstsq(terms, missed[usable])[0].T.astype(np.float64)
     return frame.bias(coefficients.ravel(), scatter_px=bias.scatter_px)
+
+
+def _places(task: Task, chosen: Choice) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return pixels (n, 2) and depths (n,), mm, at chosen points and a little around them."""
+    known = np.flatnonzero(chosen.order != NO_ORDER)
+    index = known[:: max(1, len(known) // BIAS_SAMPLE)]
+    around = AROUND * np.diff(task.wide_ends(index)) * (-1, 0, 1)
+    depths = chosen.depth_mm[index, None] + around
+    return np.repeat(task.pixels[index], 3, axis=0), depths.ravel()
 
 
 def agrees_with_c2(

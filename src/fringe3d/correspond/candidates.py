@@ -22,8 +22,9 @@ from fringe3d.correspond.solving import (
     rivals,
     solve,
 )
+from fringe3d.correspond.strictness import doubtful
 from fringe3d.correspond.surfaces import no_surer_than_most
-from fringe3d.correspond.visibility import is_hidden, is_outshone, takes_foreign_light
+from fringe3d.correspond.visibility import is_hidden, takes_foreign_light
 from fringe3d.correspond.weighing import (
     TWO_PI,
     Choice,
@@ -47,9 +48,6 @@ FIT_SIGMA = 6.0
 SEARCH_TURNS = (0.2, 0.45)
 """Periods of C2 around a decided order in which its point is searched, least and most."""
 
-STRICT_MARGIN_PX = 0.5
-"""Of C2 and the projector, next to what they do not see: half a pixel of light from there."""
-
 LEAST_RATIO = 0.5
 
 ABSOLUTE_STRIDE = (4, 4)
@@ -57,10 +55,6 @@ ABSOLUTE_STRIDE = (4, 4)
 
 LEAST_PLACING_RATIO = 0.1
 """Of the phases that C2 and the projector see along a ray; with less C2 tells no place on it."""
-
-
-Refusal = tuple[NDArray[np.bool_], Rejection]
-"""Pixels, and the reason why they have no point."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -128,9 +122,8 @@ def choose_orders(
     fit_sigma : float; residuals beyond are no fit
     together : bool; decide with the evidence of all pixels along eight paths through each, on
         which the absolute phase is continuous; otherwise each pixel decides alone
-    strict : bool; C2, asked in its turn, must be certain of the same order. In a `search`, points
-        next to what C2 does not see or the light does not reach are HIDDEN, too, and pixels that
-        are faint beside their neighbours have LOW_MODULATION
+    strict : bool; C2, asked in its turn, must be certain of the same order. In a `search`, what
+        `fringe3d.correspond.strictness.doubtful` tells is rejected, too
 
     Returns
     -------
@@ -163,19 +156,26 @@ def choose_orders(
                          outside=chosen.outside * agreement)  # fmt: skip
     if not search:  # a code leaves so few orders that what fits outside is outside
         chosen = replace(chosen, outside=np.ones(len(task.pixels)))
-    agrees, refused = np.ones(len(task.pixels), bool), list[Refusal]()
+    agrees, hidden = np.ones(len(task.pixels), bool), np.zeros(len(task.pixels), bool)
+    surface = agrees
     if together and not views.phases1.is_absolute and len(task.pixels):
         back = Task(swapped(views), projector, volume, task.limit, together=True)
-        seen_back, _ = solve(back, swapped_bias(bias, task, projector, back.frame), doubts=False)
+        bias_back = swapped_bias(bias, task, chosen, projector, back.frame)
+        seen_back, _ = solve(back, bias_back, doubts=False)
         # What claims light or hides other points need not be as certain as a point must, if strict.
         agrees = agrees_with_c2(task, chosen, back, seen_back, strict=False)
         surface = agrees & (chosen.cost <= task.limit)
         agrees &= ~takes_foreign_light(task, chosen, surface, projector)
+        surface &= agrees
         if search:
-            refused = _refused(task, chosen, agrees & surface, projector, strict)
+            hidden = is_hidden(task, chosen, surface, projector)
         if strict:
             agrees &= agrees_with_c2(task, chosen, back, seen_back, strict=True)
-    found = _chosen(task, chosen, bias, agrees, refused, min_probability)
+    rejection = _rejection(task, chosen, agrees, hidden, min_probability)
+    if search and strict:
+        for where, reason in doubtful(task, chosen, rejection, surface, projector):
+            reject(rejection, where, reason)
+    found = _chosen(task, chosen, bias, rejection)
     return replace(found, rival_shift=rival.shift() if rival is not None else 0)
 
 
@@ -194,35 +194,31 @@ def learnt_coarsely(
     return learnt_from(coarse, coarse.decide(nothing_known(coarse)))
 
 
-def _refused(
-    task: Task, chosen: Choice, surface: NDArray[np.bool_], projector: Device, strict: bool
-) -> list[Refusal]:
-    """Return which points cannot be measured, and why: no code confirms orders of mixed pixels."""
-    margin = STRICT_MARGIN_PX if strict else 0.0
-    hidden = is_hidden(task, chosen, surface, projector, margin_px=margin)
-    faint = [(is_outshone(task, chosen), Rejection.LOW_MODULATION)] if strict else []
-    return [(hidden, Rejection.HIDDEN), *faint]
-
-
-def _chosen(
+def _rejection(
     task: Task,
     chosen: Choice,
-    bias: CalibrationBias,
     agrees: NDArray[np.bool_],
-    refused: list[Refusal],
+    hidden: NDArray[np.bool_],
     min_probability: float,
-) -> ChosenOrders:
-    phases1, valid = task.views.phases1, task.valid
+) -> NDArray[np.uint16]:
+    """Return why pixels have no point, (row, col); 0 where they have one, or no phase."""
     fits = chosen.is_seen & ~(chosen.cost > task.limit)
     certain = np.where(chosen.is_inside, chosen.probability, chosen.outside) >= min_probability
-    rejection = np.zeros(valid.shape, np.uint16)
+    rejection = np.zeros(task.valid.shape, np.uint16)
     for where, reason in (
         (task.misses | (fits & ~chosen.is_inside & certain), Rejection.OUTSIDE_VOLUME),
         (~task.misses & ~(fits & agrees), Rejection.NO_MATCH),
         (fits & ~task.misses & ~certain, Rejection.AMBIGUOUS),
-        *refused,
+        (hidden, Rejection.HIDDEN),
     ):
-        reject(rejection, _spread(where, valid, fill=False), reason)
+        reject(rejection, _spread(where, task.valid, fill=False), reason)
+    return rejection
+
+
+def _chosen(
+    task: Task, chosen: Choice, bias: CalibrationBias, rejection: NDArray[np.uint16]
+) -> ChosenOrders:
+    phases1, valid = task.views.phases1, task.valid
     all_orders = np.arange(len(phases1.class_of_order), dtype=np.int32) + phases1.first_order
     phases = replace(
         phases1,

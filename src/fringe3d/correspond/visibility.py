@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import maximum_filter
 
 from fringe3d.correspond import _light
 from fringe3d.correspond.occlusion import hidden_from
@@ -25,11 +24,6 @@ SAMPLE = 2000
 
 GAP_COLS = 8
 """Every eighth column tells how far apart pixels of C1 lie in the projector image."""
-
-WEAK, AROUND_PX = 0.25, 5
-"""Part of the largest modulation in a window of so many pixels: what is fainter than that may be
-light of the neighbours, as lens, surface and a pixel's own extent spread it."""
-
 
 def takes_foreign_light(task: Task, chosen: Choice, trusted: Bools, projector: Device, /) -> Bools:
     """Tell which pixels belong to a surface that cannot be, as a larger one has its light.
@@ -96,37 +90,6 @@ def is_hidden(
     devices = task.views.camera2, projector
     hidden = hidden_from(devices, task.views.camera1, depths, noise, margin_px=margin_px)
     return np.asarray(hidden[task.valid])
-
-
-def is_outshone(task: Task, chosen: Choice, /) -> Bools:
-    """Tell which pixels are faint beside their neighbours, in C1, or where C2 sees their points.
-
-    So are those in which the surface ends, or the light: what phase they have is in part that of
-    others.
-
-    Parameters
-    ----------
-    task : Task
-    chosen : Choice; orders (n,)
-
-    Returns
-    -------
-    (n,) bool
-    """
-    views = task.views
-    faint1, faint2 = (_faint(phases.modulation) for phases in (views.phases1, views.phases2))
-    points = task.origin + chosen.depth_mm[:, None] * task.directions()
-    places = project(views.camera2, points)
-    col, row = np.rint(np.nan_to_num(places, nan=-1)).astype(np.int64).T
-    is_inside = (row >= 0) & (col >= 0) & (row < faint2.shape[0]) & (col < faint2.shape[1])
-    outshone = faint1[task.valid]
-    outshone[is_inside] |= faint2[row[is_inside], col[is_inside]]
-    return np.asarray(outshone)
-
-
-def _faint(modulation: NDArray[np.float32]) -> Bools:
-    known = np.nan_to_num(modulation)
-    return np.asarray(known < WEAK * maximum_filter(known, AROUND_PX))
 
 
 def _cells(light: NDArray[np.float64], task: Task, claims: Bools) -> tuple[NDArray[np.intp], int]:
