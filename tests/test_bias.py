@@ -318,7 +318,8 @@ def test_sigma_is_the_true_error_of_repeated_draws(noise_px: float) -> None:
 
 @pytest.mark.parametrize("scatter", [0.0, 0.1])
 def test_candidates_are_weighed_as_the_formula_says(scatter: float) -> None:
-    """r = difference - gradient . (d0 + d1 t), wrapped; over variance + (scatter |gradient|)**2."""
+    """r = difference - gradient . (d0 + d1 t), wrapped; over variance + |gradient|**2 (scatter**2 +
+    terms . covariance . terms)."""
     rng = np.random.default_rng(7)
     n, m = 400, 3
     depth = rng.uniform(320, 350, (n, m))
@@ -333,27 +334,31 @@ def test_candidates_are_weighed_as_the_formula_says(scatter: float) -> None:
     pixels = rng.uniform(0, 1, (n, 2)) * [639, 511]
     coefficients = rng.uniform(0.2, 0.5, (2, 9)) * rng.choice([-1, 1], (2, 9))
     costs = np.empty((n, m), np.float32)
-    weigh(shown, pixels, (coefficients, middle, scale), scatter, 1 / 12, costs)
+    root = scatter * rng.uniform(-1, 1, (9, 9))
+    covariance = root @ root.T
+    weigh(shown, pixels, (coefficients, middle, scale, covariance), scatter, 1 / 12, costs)
 
     u, v = ((pixels - middle[:2]) / scale[:2]).T[:, :, None]
     t = (depth - middle[2]) / scale[2]
     one = np.ones_like(t)
     terms = [one, u * one, v * one, u * u * one, u * v * one, v * v * one, t, t * u, t * v]
-    displacement = np.stack(terms, axis=-1) @ coefficients.T
+    stacked = np.stack(terms, axis=-1)
+    displacement = stacked @ coefficients.T
+    unsure = ((stacked @ root) ** 2).sum(axis=-1)
     residual = difference - (gradient * displacement).sum(axis=-1)
     residual -= np.rint(residual)
-    total = variance + (scatter * np.linalg.norm(gradient, axis=-1)) ** 2
+    total = variance + (gradient**2).sum(axis=-1) * (scatter**2 + unsure)
     expected = np.where(total < 1 / 144, residual**2 / total, np.nan)
     expected[::7, 1] = np.nan
     known = np.isfinite(expected)
-    assert 0.5 < known.mean() < 0.9  # some are too uncertain to tell
+    assert 0.2 < known.mean() < 0.9  # some are too uncertain to tell
     np.testing.assert_array_equal(np.isfinite(costs), known)
     np.testing.assert_allclose(costs[known], expected[known], rtol=1e-4, atol=1e-3)
     # Each part of the bias has its say.
     for left_out in np.ndindex(2, 9):
         less = coefficients.copy()
         less[left_out] = 0
-        weigh(shown, pixels, (less, middle, scale), scatter, 1 / 12, costs)
+        weigh(shown, pixels, (less, middle, scale, covariance), scatter, 1 / 12, costs)
         assert np.abs(costs[known] - expected[known]).max() > 1
 
 
@@ -365,12 +370,17 @@ def test_expected_residuals_are_the_bias_along_the_gradient() -> None:
     shown[:, 0], shown[:, 2:4] = rng.uniform(320, 350, n), rng.uniform(-0.2, 0.2, (n, 2))
     shown[:, 4] = rng.uniform(0.005, 0.1, n) ** 2
     expected, spread, sigma = np.empty(n), np.empty(n), np.empty(n)
-    field = bias.coefficients_px, bias.middle, bias.scale
+    root = rng.uniform(-0.05, 0.05, (9, 9))
+    field = bias.coefficients_px, bias.middle, bias.scale, root @ root.T
     expect(shown, pixels, field, 0.07, expected, spread, sigma)
     gradient = shown[:, 2:4].astype(np.float64)
     moved = bias.displacement(pixels, shown[:, 0])
     np.testing.assert_allclose(expected, (gradient * moved).sum(axis=1), atol=1e-12)
-    scatter = 0.07 * np.linalg.norm(gradient, axis=1)
+    u, v = ((pixels - bias.middle[:2]) / bias.scale[:2]).T
+    t = (shown[:, 0] - bias.middle[2]) / bias.scale[2]
+    terms = np.stack([np.ones(n), u, v, u * u, u * v, v * v, t, t * u, t * v], axis=1)
+    missed = np.sqrt(0.07**2 + ((terms @ root) ** 2).sum(axis=1))
+    scatter = missed * np.linalg.norm(gradient, axis=1)
     np.testing.assert_allclose(spread, scatter, atol=1e-12)
     np.testing.assert_allclose(sigma, np.sqrt(shown[:, 4] + scatter**2), atol=1e-12)
 

@@ -35,12 +35,14 @@ WIDTH, HEIGHT = 320, 256
 def biased(rig: Rig) -> Rig:
     """Return a rig with a bias of crooked numbers."""
     rng = np.random.default_rng(1)
+    root = rng.uniform(-0.1, 0.1, (18, 18))
     bias = CalibrationBias(
         coefficients_px=rng.uniform(-0.3, 0.3, (2, 9)),
         middle=np.array([159.5, 127.5, 1000 / 3]),
         scale=np.array([160.0, 128.0, 20 / 3]),
         scatter_px=0.1 / 3,
         sigma_px=0.2 / 3,
+        covariance_px2=root @ root.T + 1e-3 * np.eye(18),
         angle=0.7,
         source='a mask, "one half"',
     )
@@ -68,6 +70,9 @@ def test_the_file_gives_the_bias_back(biased: Rig, tmp_path: Path) -> None:
     np.testing.assert_array_equal(found.middle, bias.middle)
     np.testing.assert_array_equal(found.scale, bias.scale)
     assert (found.scatter_px, found.sigma_px) == (bias.scatter_px, bias.sigma_px)
+    assert found.covariance_px2 is not None
+    assert bias.covariance_px2 is not None
+    np.testing.assert_allclose(found.covariance_px2, bias.covariance_px2, rtol=1e-8)
     assert found.angle == pytest.approx(bias.angle, abs=1e-15)  # degrees in the file
     assert found.source == bias.source
     assert rig_text(read_rig(write(biased, tmp_path))) == rig_text(biased)

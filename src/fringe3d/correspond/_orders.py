@@ -184,21 +184,24 @@ def list_candidates(  # type: ignore[no-untyped-def]
 def weigh(shown, pixels, bias, scatter, most_sigma, costs):  # type: ignore[no-untyped-def]
     """Write the squared deviation of each candidate from what C2 shows, (n, m); NaN if unseen.
 
-    pixels (n, 2): of C1; bias = (coefficients_px (2, 9), middle (3,), scale (3,)) as in
-    `CalibrationBias`; scatter: px that it leaves unexplained.
+    pixels (n, 2): of C1; bias = (coefficients_px (2, 9), middle (3,), scale (3,), covariance
+    (9, 9), px**2, across the fringes) as in `CalibrationBias`; scatter: px that it leaves
+    unexplained.
     """
-    c, middle, scale = bias
+    c, middle, scale, covariance = bias
     for i in prange(shown.shape[0]):
         u, v = (pixels[i, 0] - middle[0]) / scale[0], (pixels[i, 1] - middle[1]) / scale[1]
         rise_x, rise_y = _rise(u, v, c[0]), _rise(u, v, c[1])
         still_x, still_y = _still(u, v, c[0]), _still(u, v, c[1])
+        unsure = _variance(u, v, covariance)
         for a in range(shown.shape[1]):
             t = (shown[i, a, DEPTH] - middle[2]) / scale[2]
             gx, gy = shown[i, a, GRADIENT_X], shown[i, a, GRADIENT_Y]
             expected = gx * (still_x + rise_x * t) + gy * (still_y + rise_y * t)
             residual = shown[i, a, DIFFERENCE] - expected
             residual -= np.floor(residual + 0.5)
-            variance = shown[i, a, VARIANCE] + (gx * gx + gy * gy) * scatter * scatter
+            missed = scatter * scatter + unsure[0] + t * (unsure[1] + t * unsure[2])
+            variance = shown[i, a, VARIANCE] + (gx * gx + gy * gy) * missed
             fits = variance < most_sigma * most_sigma
             costs[i, a] = residual * residual / variance if fits else np.nan
 
@@ -206,18 +209,20 @@ def weigh(shown, pixels, bias, scatter, most_sigma, costs):  # type: ignore[no-u
 @njit(cache=True, parallel=True, error_model="numpy")
 def expect(shown, pixels, bias, scatter, expected, spread, sigma):  # type: ignore[no-untyped-def]
     """Write what the bias lets expect of the residuals of chosen candidates, (n,) turns: the
-    residual, what the bias leaves unexplained, and the standard deviation in all.
+    residual, what the bias leaves unknown, and the standard deviation in all.
 
     shown (n, N_SHOWN); the rest as `weigh` takes it.
     """
-    c, middle, scale = bias
+    c, middle, scale, covariance = bias
     for i in prange(len(shown)):
         u, v = (pixels[i, 0] - middle[0]) / scale[0], (pixels[i, 1] - middle[1]) / scale[1]
         t = (shown[i, DEPTH] - middle[2]) / scale[2]
         gx, gy = np.float64(shown[i, GRADIENT_X]), np.float64(shown[i, GRADIENT_Y])
         moved_x = _still(u, v, c[0]) + _rise(u, v, c[0]) * t
         expected[i] = gx * moved_x + gy * (_still(u, v, c[1]) + _rise(u, v, c[1]) * t)
-        spread[i] = scatter * math.sqrt(gx * gx + gy * gy)
+        unsure = _variance(u, v, covariance)
+        missed = scatter * scatter + unsure[0] + t * (unsure[1] + t * unsure[2])
+        spread[i] = math.sqrt((gx * gx + gy * gy) * missed)
         sigma[i] = math.sqrt(shown[i, VARIANCE] + spread[i] * spread[i])
 
 
@@ -242,3 +247,19 @@ def _still(u, v, c):  # type: ignore[no-untyped-def]
 def _rise(u, v, c):  # type: ignore[no-untyped-def]
     """Return its rise with the depth, px."""
     return c[6] + c[7] * u + c[8] * v
+
+
+@njit(cache=True, error_model="numpy")
+def _variance(u, v, covariance):  # type: ignore[no-untyped-def]
+    """Return the terms 1, t and t**2 of the displacement's variance along a ray, px**2."""
+    still, rise = (1.0, u, v, u * u, u * v, v * v), (1.0, u, v)
+    level, slope, bend = 0.0, 0.0, 0.0
+    for a in range(6):
+        for b in range(6):
+            level += still[a] * still[b] * covariance[a, b]
+        for b in range(3):
+            slope += 2 * still[a] * rise[b] * covariance[a, 6 + b]
+    for a in range(3):
+        for b in range(3):
+            bend += rise[a] * rise[b] * covariance[6 + a, 6 + b]
+    return level, slope, bend

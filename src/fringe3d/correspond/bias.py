@@ -46,7 +46,7 @@ class Frame:
         return PRIOR_PX * np.array([1.0] * 6 + [of_depth] * 3)
 
     def bias(
-        self, coefficients: Floats, *, scatter_px: float, sigma_px: float = 0.0
+        self, coefficients: Floats, *, scatter_px: float, covariance_px2: Floats | None = None
     ) -> CalibrationBias:
         """Return a bias with these coefficients, (18,)."""
         return CalibrationBias(
@@ -54,7 +54,8 @@ class Frame:
             middle=self.middle,
             scale=self.scale,
             scatter_px=scatter_px,
-            sigma_px=sigma_px,
+            sigma_px=0.0 if covariance_px2 is None else _uncertainty(covariance_px2),
+            covariance_px2=covariance_px2,
             angle=self.angle,
         )
 
@@ -123,6 +124,7 @@ def learn_bias(
     /,
     *,
     start: CalibrationBias | None = None,
+    known: CalibrationBias | None = None,
     n_alike: float = PATCH_PX**2,
 ) -> CalibrationBias:
     """Fit a smooth displacement to residuals.
@@ -132,6 +134,8 @@ def learn_bias(
     evidence : Evidence
     frame : Frame
     start : CalibrationBias or None; where the residuals are unwrapped around, and the fit begins
+    known : CalibrationBias or None; what other measurements have shown, with its covariance; in the
+        same frame. None expects no more than that a calibration is good
     n_alike : float; neighbours whose errors are alike: harmonics, interpolation, reflections. They
         are one datum against the prior
 
@@ -147,7 +151,7 @@ def learn_bias(
     part = evidence.part(slice(None, None, max(1, len(evidence) // SAMPLE)))
     terms = terms_of(part.pixels, part.depths_mm, frame.middle, frame.scale)
     design = np.hstack([part.gradient[:, :1] * terms, part.gradient[:, 1:] * terms])
-    prior = np.diag(np.tile(frame.prior_px(), 2) ** -2.0)
+    expected, prior = _expected(frame, known)
     data = np.column_stack([part.difference, part.variance, (part.gradient**2).sum(axis=1)])
     noise_px = _noise_px(data)
     share = len(evidence) / max(len(part), 1) / n_alike  # patches for each datum
@@ -161,11 +165,23 @@ def learn_bias(
         _robust.normal_equations(
             design, data, coefficients, scatter, share, normal, right, unwrapped
         )
-        coefficients = np.asarray(np.linalg.solve(normal + prior, right), np.float64)
+        coefficients = np.asarray(
+            np.linalg.solve(normal + prior, right + prior @ expected), np.float64
+        )
         _robust.misfit_per_px(design, unwrapped, data, coefficients, misfit)
         spread = MAD_TO_SIGMA * _median(misfit)
         scatter = max(float(np.sqrt(max(spread**2 - noise_px**2, 0))), LEAST_SCATTER_PX)
-    return frame.bias(coefficients, scatter_px=scatter, sigma_px=_uncertainty(normal + prior))
+    covariance = np.linalg.inv(normal + prior)
+    return frame.bias(
+        coefficients, scatter_px=scatter, covariance_px2=(covariance + covariance.T) / 2
+    )
+
+
+def _expected(frame: Frame, known: CalibrationBias | None) -> tuple[Floats, Floats]:
+    """Return the coefficients that are expected, (18,), and how surely: the inverse covariance."""
+    if known is None or known.covariance_px2 is None:
+        return np.zeros(2 * N_TERMS), np.diag(np.tile(frame.prior_px(), 2) ** -2.0)
+    return known.coefficients_px.ravel(), np.asarray(np.linalg.inv(known.covariance_px2))
 
 
 def _noise_px(data: Floats) -> float:
@@ -179,11 +195,10 @@ def _median(values: Floats) -> float:
     return float(np.median(known)) if len(known) else 0.0
 
 
-def _uncertainty(normal: Floats) -> float:
+def _uncertainty(covariance: Floats) -> float:
     """Return the rms standard deviation of the displacement over image and volume, px."""
     x, y, t = (a.ravel() for a in np.meshgrid(*[np.linspace(-0.8, 0.8, 5)] * 3))
     terms = terms_of(np.stack([x, y], axis=1), t, np.zeros(3), np.ones(3))
-    covariance = np.linalg.inv(normal)
     variance = sum(
         np.einsum("ij,jk,ik->i", terms, covariance[at, at], terms)
         for at in (slice(0, N_TERMS), slice(N_TERMS, None))

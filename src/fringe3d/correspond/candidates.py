@@ -19,6 +19,7 @@ from fringe3d.correspond.solving import (
     coarse_stride,
     learnt_from,
     nothing_known,
+    refined,
     rivals,
     solve,
 )
@@ -138,13 +139,15 @@ def choose_orders(
     witnesses, is_known, rival = witnesses or Witnesses(), bias is not None, None
     task = Task(views, projector, volume, fit_sigma**2, together)
     panel = ask(task, witnesses, projector, volume)
-    if search and not is_known:
+    if search:
         stride = coarse_stride(views.phases1.phase)
         coarse = Task(views, projector, volume, fit_sigma**2, together, stride)
         ask(coarse, witnesses, projector, volume)
-        rival = rivals([coarse])
-        bias = rival.best if rival is not None else None
-    if bias is None and not search:
+        if bias is not None:
+            bias = refined(coarse, bias)
+        elif (rival := rivals([coarse])) is not None:
+            bias = rival.best
+    elif bias is None:
         bias = learnt_coarsely(views, projector, volume, fit_sigma, together=together)
     chosen, bias = solve(task, bias)
     chosen, bias = panel.asked_again(chosen, bias, is_known=is_known or rival is not None)

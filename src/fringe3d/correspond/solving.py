@@ -14,7 +14,14 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from fringe3d.correspond._aggregate import STEP_PENALTY
-from fringe3d.correspond.bias import LEAST_PART, LEAST_PIXELS, PATCH_PX, joined, learn_bias
+from fringe3d.correspond.bias import (
+    LEAST_PART,
+    LEAST_PIXELS,
+    PATCH_PX,
+    Frame,
+    joined,
+    learn_bias,
+)
 from fringe3d.correspond.surfaces import CONTINUOUS, absolute_turns, made_whole, surfaces
 from fringe3d.correspond.weighing import (
     CLEAR,
@@ -36,6 +43,9 @@ START_SCATTER_PX, JUDGED_SCATTER_PX = 0.15, 0.08
 
 N_REFINED, ROUNDS = 3, 2
 """Solutions that are refined, and how often."""
+
+REFINEMENTS = 3
+"""How often a stored bias is refined, and decided with."""
 
 N_LOOKS, NUDGE_PX = 3, 0.3
 """How often better solutions are sought around the best one, and how far away."""
@@ -137,13 +147,34 @@ def solve(
     return (made_whole(task, chosen, doubts=doubts) if task.together else chosen), bias
 
 
+def refined(task: Task, known: CalibrationBias, /) -> CalibrationBias:
+    """Return a stored bias with what the measurement itself adds to it.
+
+    Where no surface was when it was learnt it is not known well enough to choose by: what is clear
+    elsewhere on a surface tells it there.
+    """
+    bias, frame = known, Frame(known.middle, known.scale, known.angle)
+    if known.covariance_px2 is None:
+        return known
+    for _ in range(REFINEMENTS):
+        chosen = made_whole(task, task.decide(bias))
+        clear = _clear(task, chosen)
+        if not clear.any():
+            return bias
+        evidence = chosen.clear(task.pixels, clear)
+        bias = learn_bias(evidence, frame, start=bias, known=known, n_alike=_n_alike(task))
+    return bias
+
+
 def _learnt_once(task: Task) -> CalibrationBias:
     return learnt_from(task, task.decide(nothing_known(task)))
 
 
 def learnt_from(task: Task, chosen: Choice, /) -> CalibrationBias:
     """Return the bias that the clear ones of given decisions show; unknown if they are too few."""
-    return _learnt([task], [chosen], None) or nothing_known(task)
+    learnt = _learnt([task], [chosen], None)
+    # It serves the pixels that show it: what is unknown of it elsewhere does not matter.
+    return nothing_known(task) if learnt is None else replace(learnt, covariance_px2=None)
 
 
 def nothing_known(task: Task, /) -> CalibrationBias:
@@ -188,7 +219,21 @@ def rivals(tasks: Sequence[Task], /) -> Rivals | None:
     _look_around(tasks, found, way)
     weights = np.exp([found[0].energy - s.energy for s in found])
     n = int((weights > LEAST_WEIGHT).sum())
-    return Rivals(tuple(tasks), tuple(found[:n]), weights[:n] / weights[:n].sum())
+    solutions = tuple(_of_whole_surfaces(tasks, solution) for solution in found[:n])
+    return Rivals(tuple(tasks), solutions, weights[:n] / weights[:n].sum())
+
+
+def _of_whole_surfaces(tasks: Sequence[Task], solution: Solution) -> Solution:
+    """Return a solution with the bias that its surfaces show, each as a whole.
+
+    Where C2 does not see a surface any more, orders that it sees may fit by chance, and bend the
+    bias. (To look for solutions so would miss some: a surface goes all the way or not at all.)
+    """
+    bias = solution.bias
+    for _ in range(REFINEMENTS):
+        whole = [made_whole(task, task.decide(bias)) for task in tasks]
+        bias = _learnt(tasks, whole, bias) or bias
+    return replace(_judged(tasks, bias), energy=solution.energy)
 
 
 def _keep(found: list[Solution], other: Solution) -> None:

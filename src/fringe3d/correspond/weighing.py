@@ -51,6 +51,9 @@ SMOOTH_RAD, SMOOTH_SIGMA = 0.1, 3.0
 STEEPEST_RAD = 2.0
 """Between neighbours; beyond, the phase may as well fall as rise."""
 
+SAMPLE = 2000
+"""Pixels that show in which direction the phase rises."""
+
 CLEAR = 0.99
 """Probability of the decisions from which the bias is learnt."""
 
@@ -324,15 +327,29 @@ class Task:
     def costs(
         self, bias: CalibrationBias, *, scatter_px: float | None = None
     ) -> NDArray[np.float32]:
-        """Return the squared deviations in C2, (n, m); NaN where it does not see the point."""
-        scatter = bias.scatter_px if scatter_px is None else scatter_px
+        """Return the squared deviations in C2, (n, m); NaN where it does not see the point.
+
+        A `scatter_px` stands for all that is unknown of the bias.
+        """
         costs = np.empty(self.listed.orders.shape, np.float32)
-        field = bias.coefficients_px, bias.middle, bias.scale
+        scatter = bias.scatter_px if scatter_px is None else scatter_px
+        field = self._field(bias if scatter_px is None else replace(bias, covariance_px2=None))
         _orders.weigh(self.listed.shown, self.pixels, field, scatter, MOST_SIGMA, costs)
         return costs
 
+    def _field(self, bias: CalibrationBias) -> tuple[NDArray[np.float64], ...]:
+        covariance = bias.covariance_along(self._across_fringes)
+        return bias.coefficients_px, bias.middle, bias.scale, covariance
+
+    @cached_property
+    def _across_fringes(self) -> NDArray[np.float64]:
+        """Return the direction, (2,), in which the phase rises in C2: the bias shows along it."""
+        shown = self.listed.shown[:: max(1, len(self.where) // SAMPLE)]
+        steepest = np.nansum(shown[..., [_orders.GRADIENT_X, _orders.GRADIENT_Y]], axis=(0, 1))
+        return np.asarray(steepest / max(float(np.linalg.norm(steepest)), 1e-30), np.float64)
+
     def decide(self, bias: CalibrationBias, *, scatter_px: float | None = None) -> Choice:
-        """Weigh the candidates, and choose; `scatter_px` stands for that of the bias."""
+        """Weigh the candidates, and choose; `scatter_px` as in `costs`."""
         costs, n = self.costs(bias, scatter_px=scatter_px), len(self.where)
         place, probability, outside = np.empty(n, np.intp), np.empty(n), np.empty(n)
         outside_cost = int(_aggregate.UNIT * OUTSIDE_COST)
@@ -355,7 +372,7 @@ class Task:
         of the residuals, (n,) each, turns."""
         n = len(self.where)
         expected, scatter, sigma = np.empty(n), np.empty(n), np.empty(n)
-        field = bias.coefficients_px, bias.middle, bias.scale
+        field = self._field(bias)
         _orders.expect(chosen.shown, self.pixels, field, bias.scatter_px, expected, scatter, sigma)
         return expected, scatter, sigma
 

@@ -11,6 +11,7 @@ from typing import Annotated, Literal
 
 import numpy as np
 import tomlkit
+from numpy.typing import NDArray
 from pydantic import Field, field_validator
 
 from fringe3d.errors import RigError
@@ -124,6 +125,7 @@ class BiasTable(StrictModel):
     scale: Vector3
     scatter_px: float = Field(ge=0)
     sigma_px: float = Field(ge=0)
+    covariance_px2: list[list[float]] | None = None
     source: str = ""
 
     def bias(self, devices: Sequence[Device]) -> CalibrationBias:
@@ -140,6 +142,9 @@ class BiasTable(StrictModel):
             scale=np.array(self.scale),
             scatter_px=self.scatter_px,
             sigma_px=self.sigma_px,
+            covariance_px2=None
+            if self.covariance_px2 is None
+            else _symmetric("bias: covariance_px2", self.covariance_px2, 2 * N_TERMS),
             angle=math.radians(self.angle_deg),
             source=self.source,
         )
@@ -160,15 +165,31 @@ class CovarianceTable(StrictModel):
                 f"({fingerprint(devices)}), found one of other devices ({self.devices}). Take the "
                 "[covariance] table out, or calibrate again"
             )
-        if [len(row) for row in self.lower_triangle] != list(range(1, len(self.names) + 1)):
-            raise ValueError(
-                f"covariance: lower_triangle: expected rows of 1 to {len(self.names)} numbers, one "
-                f"row for each name, found {len(self.lower_triangle)} rows"
-            )
-        matrix = np.zeros((len(self.names), len(self.names)))
-        for number, row in enumerate(self.lower_triangle):
-            matrix[number, : number + 1] = matrix[: number + 1, number] = row
+        size = len(self.names)
+        matrix = _symmetric("covariance: lower_triangle", self.lower_triangle, size)
         return RigCovariance(names=tuple(self.names), matrix=matrix)
+
+
+def _symmetric(name: str, lower_triangle: list[list[float]], size: int) -> NDArray[np.float64]:
+    """Return a matrix of which the file has the rows up to the diagonal."""
+    if [len(row) for row in lower_triangle] != list(range(1, size + 1)):
+        raise ValueError(
+            f"{name}: expected {size} rows of 1 to {size} numbers, found {len(lower_triangle)} "
+            f"rows of {', '.join(str(len(row)) for row in lower_triangle)} numbers"
+        )
+    matrix = np.zeros((size, size))
+    for number, row in enumerate(lower_triangle):
+        matrix[number, : number + 1] = matrix[: number + 1, number] = row
+    return matrix
+
+
+def _rows(matrix: NDArray[np.float64]) -> tomlkit.items.Array:
+    rows = tomlkit.array()
+    rows.extend([
+        [float(f"{number:.9g}") for number in row[: place + 1]]
+        for place, row in enumerate(matrix.tolist())
+    ])  # fmt: skip
+    return rows.multiline(True)
 
 
 def fingerprint(devices: Sequence[Device], /) -> str:
@@ -317,6 +338,8 @@ def _bias_table(bias: CalibrationBias, rig: Rig) -> tomlkit.items.Table:
     table["middle"], table["scale"] = bias.middle.tolist(), bias.scale.tolist()
     table["scatter_px"], table["sigma_px"] = bias.scatter_px, bias.sigma_px
     table["source"] = bias.source
+    if bias.covariance_px2 is not None:
+        table["covariance_px2"] = _rows(bias.covariance_px2)
     return table
 
 
@@ -324,12 +347,7 @@ def _covariance_table(covariance: RigCovariance, rig: Rig) -> tomlkit.items.Tabl
     table = tomlkit.table()
     table["devices"] = fingerprint(rig.devices)
     table["names"] = list(covariance.names)
-    rows = tomlkit.array()
-    rows.extend([
-        [float(f"{number:.9g}") for number in row[: place + 1]]
-        for place, row in enumerate(covariance.matrix.tolist())
-    ])  # fmt: skip
-    table["lower_triangle"] = rows.multiline(True)
+    table["lower_triangle"] = _rows(covariance.matrix)
     return table
 
 

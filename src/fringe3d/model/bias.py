@@ -32,6 +32,7 @@ class CalibrationBias:
         less `middle` and over `scale`: about -1 to 1 in image and volume
     scatter_px : float, px, >= 0; what the function leaves unexplained
     sigma_px : float, px; how well the displacement is known, rms over image and volume
+    covariance_px2 : (18, 18) float, px^2, or None; of the coefficients, those in x first
     angle : float, rad; of the fringes: the light sheets of another direction have another bias
     source : str; what it was learnt from
 
@@ -48,6 +49,7 @@ class CalibrationBias:
     scale: NDArray[np.float64]
     scatter_px: float = 0.0
     sigma_px: float = 0.0
+    covariance_px2: NDArray[np.float64] | None = None
     angle: float = 0.0
     source: str = ""
 
@@ -57,6 +59,8 @@ class CalibrationBias:
             require_shape(f"bias: {name}", array, shape)
             require_finite(f"bias: {name}", array)
             object.__setattr__(self, name, frozen(array, np.float64))
+        if self.covariance_px2 is not None:
+            object.__setattr__(self, "covariance_px2", _covariance(self.covariance_px2))
         if not (self.scale > 0).all():
             raise ValueError(f"bias: scale: expected numbers > 0, found {self.scale.tolist()}")
 
@@ -69,6 +73,14 @@ class CalibrationBias:
         x, y, t = (a.ravel() for a in np.meshgrid(*grid))
         missed = self.displacement(np.stack([x, y], axis=1), t)
         return float(np.sqrt((missed**2).sum(axis=1).mean()))
+
+    def covariance_along(self, axis: NDArray[np.float64], /) -> NDArray[np.float64]:
+        """Return the covariance of the terms, (9, 9), px^2, along a unit vector (2,) of C2's image;
+        0 where it is not known."""
+        if self.covariance_px2 is None:
+            return np.zeros((N_TERMS, N_TERMS))
+        parts = self.covariance_px2.reshape(2, N_TERMS, 2, N_TERMS)
+        return np.asarray(np.einsum("i,iajb,j->ab", axis, parts, axis))
 
     def fits(self, angle: float, /) -> bool:
         """Tell whether it belongs to fringes of an angle, rad."""
@@ -86,6 +98,15 @@ class CalibrationBias:
         rise = terms[:, :3] @ self.coefficients_px[:, 6:].T / self.scale[2]
         at_middle = terms[:, :6] @ self.coefficients_px[:, :6].T
         return np.hstack([at_middle - rise * self.middle[2], rise])
+
+
+def _covariance(matrix: ArrayLike) -> NDArray[np.float64]:
+    array = np.asarray(matrix, np.float64)
+    require_shape("bias: covariance_px2", array, (2 * N_TERMS, 2 * N_TERMS))
+    require_finite("bias: covariance_px2", array)
+    if not np.allclose(array, array.T) or np.linalg.eigvalsh(array).min() <= 0:
+        raise ValueError("bias: covariance_px2: expected a symmetric positive definite matrix")
+    return frozen(array, np.float64)
 
 
 def terms_of(
