@@ -9,7 +9,7 @@ from fringe3d.correspond import _light
 from fringe3d.correspond.occlusion import hidden_from
 from fringe3d.correspond.surfaces import surfaces
 from fringe3d.correspond.weighing import TWO_PI, Choice, Task
-from fringe3d.geometry import project, sheet_crossing
+from fringe3d.geometry import sheet_crossing
 from fringe3d.model import NO_ORDER, Device
 
 Bools = NDArray[np.bool_]
@@ -24,6 +24,7 @@ SAMPLE = 2000
 
 GAP_COLS = 8
 """Every eighth column tells how far apart pixels of C1 lie in the projector image."""
+
 
 def takes_foreign_light(task: Task, chosen: Choice, trusted: Bools, projector: Device, /) -> Bools:
     """Tell which pixels belong to a surface that cannot be, as a larger one has its light.
