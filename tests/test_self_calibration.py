@@ -22,7 +22,7 @@ from fringe3d.io.rigfile import read_rig
 from fringe3d.model import Device, Fringe, Rig, RigidTransform
 from fringe3d.options import MeasureOptions
 from fringe3d.pipeline import Measurement, measure
-from fringe3d.self_calibration import KnownLength, self_calibrate
+from fringe3d.self_calibration import KnownLength, distance_of, self_calibrate
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 
@@ -318,9 +318,13 @@ def test_a_known_length_gives_the_scale(scans: Path) -> None:
     true = read_rig(scans / "plane" / "rig.toml")
     before = np.linalg.norm(true.cameras[1].center_world - true.cameras[0].center_world)
     assert np.linalg.norm(c2.center_world - c1.center_world) == pytest.approx(2 * before, rel=2e-3)
-    nowhere = replace(length, first_px=(-50.0, 0.0))
-    with pytest.raises(EmptyResultError, match="known length"):
-        self_calibrate([scan], moved, length=nowhere)
+
+
+def test_a_known_length_needs_points_at_its_ends() -> None:
+    cloud = seen(points_in_space(600, 0), BOTH)
+    nowhere = KnownLength(first_px=(-50.0, 0.0), second_px=(640.0, 512.0), length_mm=10.0)
+    with pytest.raises(EmptyResultError, match=r"known length: expected a point at pixel \(-50"):
+        distance_of(nowhere, cloud, (C1, C2, PROJECTOR))
 
 
 def test_what_cannot_be_found_is_refused(scans: Path) -> None:
@@ -351,3 +355,20 @@ def test_mistakes_on_the_command_line(
         main([*call, "--known-length", "1,2:3:4"])
     assert "--known-length: expected two pixels of C1 and mm" in capsys.readouterr().err
     assert not (tmp_path / "rig.toml").exists()
+
+
+def test_measure_names_the_device_that_moved(scans: Path) -> None:
+    """Two directions tell the devices apart; the scan is rendered with the true rig."""
+    from fringe3d.io.recording import read_scan
+
+    scan = read_scan(scans / "machine-part")
+    assert scan.rig is not None
+    assert scan.rig.projector is not None
+    c1, c2 = scan.rig.cameras
+    for rig, name in (
+        (replace(scan.rig, cameras=(c1, kicked(c2, 3, deg=0.1))), "c2"),
+        (replace(scan.rig, projector=kicked(scan.rig.projector, 5)), "projector"),
+    ):
+        told = [f.text for f in measure(replace(scan, rig=rig)).warnings if f.name == "moved_px"]
+        assert len(told) == 1
+        assert f"device '{name}' has moved" in told[0]

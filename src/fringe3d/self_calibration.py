@@ -162,7 +162,7 @@ def self_calibrate(
     assert fitted is not None
     factor = 1.0
     if length is not None:
-        factor = length.length_mm / _distance(length, points[0], fitted.devices)
+        factor = length.length_mm / distance_of(length, points[0], fitted.devices)
         found = _with(rig, fitted.scaled(factor))
     return SelfCalibrated(
         rig=found,
@@ -359,8 +359,14 @@ def _freely(
     return match_cameras(maps[0], maps2[0], c1, c2, None) if maps[0].is_absolute else None
 
 
-def _distance(length: KnownLength, points: Homologous, devices: Sequence[Device]) -> float:
-    """Return the distance of two points with the poses found, mm."""
+def distance_of(length: KnownLength, points: Homologous, devices: Sequence[Device], /) -> float:
+    """Return the distance of two points with the poses found, mm.
+
+    Raises
+    ------
+    EmptyResultError
+        If there is no point near one of the ends.
+    """
     ends = []
     for pixel in (length.first_px, length.second_px):
         away = np.linalg.norm(points.pixels_c1 - np.asarray(pixel, np.float64), axis=1)
