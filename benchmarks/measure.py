@@ -95,6 +95,7 @@ def lines(
         preset = M5_PRESET if method == "M5" else PRESET
         if preset not in recordings:
             recordings[preset] = recorded(Scene(preset, thing, size=size))
+        curves._STORE.kept.clear()
         task = task_of(method, recordings[preset])
         images = [stack.images for stack in task.scan.stacks]
         n_bytes = sum(i.nbytes for i in images)

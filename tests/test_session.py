@@ -6,6 +6,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
+import numba
 import numpy as np
 import pytest
 
@@ -79,6 +80,23 @@ def test_several_threads_measure_at_the_same_time(scan: Scan) -> None:
         found = list(pool.map(session.measure, [scan.stacks, dark] * 4))
     for number, result in enumerate(found):
         assert_same(result, expected[number % 2])
+
+
+@pytest.mark.parametrize("options", [MeasureOptions(), M2])
+def test_results_do_not_depend_on_the_number_of_threads(
+    scan: Scan, options: MeasureOptions
+) -> None:
+    """Bit for bit."""
+    if numba.config.NUMBA_NUM_THREADS < 2:  # type: ignore[attr-defined]
+        pytest.skip("one processor")
+    before, found = numba.get_num_threads(), []
+    try:
+        for n_threads in (1, 2):
+            numba.set_num_threads(n_threads)
+            found.append(measure(scan, options))
+    finally:
+        numba.set_num_threads(before)
+    assert_same(*found)
 
 
 def test_images_of_another_plan_are_refused(scan: Scan) -> None:
