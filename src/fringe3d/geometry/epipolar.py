@@ -9,7 +9,15 @@ from numpy.typing import ArrayLike, NDArray
 
 from fringe3d.geometry._clip import clip_all
 from fringe3d.geometry._sheets import cross_all
-from fringe3d.geometry.projection import grid_rays, lens_of, normalize, pixel_grid, project, rays
+from fringe3d.geometry.projection import (
+    grid_rays,
+    lens_of,
+    normalize,
+    pixel_grid,
+    project,
+    rays,
+    readable,
+)
 from fringe3d.model import Device, MeasuringVolume
 
 INTERVALS_KEPT = 4
@@ -71,10 +79,12 @@ def depth_interval(
         Distances along the rays, ``0 <= near``; ``near > far`` where a ray misses the volume
         (or is NaN), ``far`` infinite where the volume is open.
     """
-    flat = np.ascontiguousarray(directions, np.float64).reshape(-1, 3)
+    flat, normals = (  # read only, whatever comes: one type for the compiler
+        readable(values) for values in (directions.reshape(-1, 3), volume.normals)
+    )
     near, far = np.empty(len(flat)), np.empty(len(flat))
     room = volume.offsets_mm - volume.normals @ origin
-    clip_all(flat, np.ascontiguousarray(volume.normals), room, near, far)
+    clip_all(flat, normals, room, near, far)
     shape = directions.shape[:-1]
     return near.reshape(shape), far.reshape(shape)
 

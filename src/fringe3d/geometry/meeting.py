@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from fringe3d.geometry._lens import safe_radius
 from fringe3d.geometry._meeting import meet_all
-from fringe3d.geometry.projection import grid_rays, lens_of
+from fringe3d.geometry.projection import grid_rays, lens_of, readable
 from fringe3d.model import Correspondences, Device, MeasuringVolume
 
 
@@ -56,12 +56,12 @@ def meet(
         rejection=matches.rejection.copy(),
     )
     pixels1, pixels2, sigma, residual, rays1 = (
-        _readable(a) for a in (matches.pixels_c1, matches.pixels, matches.sigma_px,
+        readable(a) for a in (matches.pixels_c1, matches.pixels, matches.sigma_px,
                                matches.epipolar_residual_px, directions)
     )  # fmt: skip
     meet_all(
         pixels1, pixels2, sigma, residual, rays1, (_numbers(camera), _numbers(other)),
-        tuple(_readable(a) for a in bounds), (max_epipolar_px, max_sigma_part), tuple(met),
+        tuple(readable(a) for a in bounds), (max_epipolar_px, max_sigma_part), tuple(met),
     )  # fmt: skip
     return met
 
@@ -69,11 +69,4 @@ def meet(
 def _numbers(device: Device) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any], float]:
     lens = lens_of(device)
     rotation = np.ascontiguousarray(device.device_from_world.rotation)
-    return _readable(device.center_world), _readable(rotation), lens, float(safe_radius(lens))
-
-
-def _readable(array: NDArray[Any]) -> NDArray[Any]:
-    """Return a contiguous view that is read only: one type for the compiler, whatever comes."""
-    view = np.ascontiguousarray(array).view()
-    view.setflags(write=False)
-    return view
+    return readable(device.center_world), readable(rotation), lens, float(safe_radius(lens))

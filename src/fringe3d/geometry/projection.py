@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -12,6 +13,13 @@ from fringe3d.model import Device
 
 CAMERAS_KEPT = 3
 """Cameras whose viewing rays are kept between measurements, 24 bytes a pixel."""
+
+
+def readable(array: NDArray[Any], /) -> NDArray[np.float64]:
+    """Return a contiguous view that is read only: one type for the compiler, whatever comes."""
+    view = np.ascontiguousarray(array).view()
+    view.setflags(write=False)
+    return view
 
 
 def lens_of(device: Device, /) -> NDArray[np.float64]:
