@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fringe3d.correspond import _aggregate, _joining, _orders
+from fringe3d.correspond import _aggregate, _orders
 from fringe3d.correspond.bias import Evidence, Frame, frame_of
 from fringe3d.correspond.curves import ray_curves
+from fringe3d.correspond.grid import index_of, numbers_of, rises_of
 from fringe3d.correspond.projector import GUARD_PX, GUARD_SIGMA
 from fringe3d.geometry import grid_rays
 from fringe3d.geometry.projection import lens_of
@@ -44,12 +45,6 @@ LARGEST_EXTRA = 6.0
 
 MOST_SIGMA = 1 / 12
 """Turns; residuals that are less certain reject nothing: six deviations are half a turn."""
-
-SMOOTH_RAD, SMOOTH_SIGMA = 0.1, 3.0
-"""Second difference of the phase on a surface: curvature, and noise."""
-
-STEEPEST_RAD = 2.0
-"""Between neighbours; beyond, the phase may as well fall as rise."""
 
 SAMPLE = 2000
 """Pixels that show in which direction the phase rises."""
@@ -205,7 +200,7 @@ class Task:
         self.grid = (slice(None, None, stride[0]), slice(None, None, stride[1]))
         self.phase = np.ascontiguousarray(phases1.phase[self.grid])
         self.valid = phases1.rejection[self.grid] == 0
-        self.where = _numbers(self.valid, stride, phases1.phase.shape[1])
+        self.where = numbers_of(self.valid, stride, phases1.phase.shape[1])
         self.tables = ray_curves(views.camera1, views.camera2, projector, volume, phases1.angle)
         near, far = self._at(self.tables.ends).T
         self.misses = ~(near < far)
@@ -420,44 +415,3 @@ def _label_step(phases: PhaseMap) -> int:
     names = phases.class_of_order[order]
     gaps = np.diff(order)[names[1:] == names[:-1]]
     return int(np.gcd.reduce(gaps)) if len(gaps) else len(order)
-
-
-def index_of(valid: NDArray[np.bool_], /) -> NDArray[np.int32]:
-    """Return the number of each valid pixel of a grid, -1 for the others."""
-    index = np.full(valid.shape, -1, np.int32)
-    index[valid] = np.arange(int(valid.sum()), dtype=np.int32)
-    return index
-
-
-def rises_of(
-    phase: NDArray[np.float32], valid: NDArray[np.bool_], sigma: NDArray[np.float32], /
-) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-    """Return the phase from each pixel to the next row and column, wrapped, and where it is smooth.
-
-    Parameters
-    ----------
-    phase : (row, col) float32, rad; NaN where not valid
-    valid : (row, col) bool
-    sigma : (n,) float32, rad; standard deviation of the phase of the valid pixels
-
-    Returns
-    -------
-    rises : (2, row, col) float32, rad; NaN where there is none
-    smooth : (2, row, col) bool; whether it is that of one surface
-    """
-    noise = np.full(valid.shape, np.nan, np.float32)
-    noise[valid] = sigma
-    shape = (2, *valid.shape)
-    rises, smooth = np.empty(shape, np.float32), np.empty(shape, np.bool_)
-    limits = SMOOTH_RAD, SMOOTH_SIGMA * np.sqrt(6), STEEPEST_RAD
-    _joining.write_rises(phase, noise, limits, rises, smooth)
-    return rises, smooth
-
-
-def _numbers(valid: NDArray[np.bool_], stride: tuple[int, int], n_cols: int) -> NDArray[np.int32]:
-    """Return the numbers in the whole image, (n,), of the valid pixels of a part of it."""
-    where = np.flatnonzero(valid).astype(np.int32)
-    if stride == (1, 1):
-        return where
-    rows, cols = np.divmod(where, np.int32(valid.shape[1]))
-    return np.asarray(rows * (stride[0] * n_cols) + cols * stride[1], np.int32)
