@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from closed_phases import PLANE, Surface, choose, phase_map, small_rig, task_of, visible
 from fringe3d.correspond import Task, TwoViews
 from fringe3d.correspond.strictness import doubtful
+from fringe3d.correspond.surfaces import is_fragment
 from fringe3d.correspond.weighing import Choice
 from fringe3d.model import Rejection, Rig
 
@@ -40,9 +41,7 @@ def plane_task() -> tuple[Rig, Task, Choice]:
     return rig, task, task.decide(none)
 
 
-def refused(
-    *, faint: Any = (), left: float = 1.0, misfit: float = 0.0, rejected: Any = None
-) -> dict[Rejection, Mask]:
+def refused(*, faint: Any = (), left: float = 1.0, misfit: float = 0.0) -> dict[Rejection, Mask]:
     """Return what is doubtful of a plane of which only INSIDE has points.
 
     The pixels `faint` have but a part of the modulation, and all residuals the same misfit.
@@ -56,8 +55,6 @@ def refused(
     chosen.__dict__["cost"] = np.full(len(chosen.place), misfit * task.limit)
     rejection = np.full(task.valid.shape, np.uint16(Rejection.OUTSIDE_VOLUME))
     rejection[INSIDE] = 0
-    if rejected is not None:
-        rejection[rejected] = np.uint16(Rejection.NO_MATCH)
     assert rig.projector is not None
     surface = np.ones(len(chosen.place), bool)
     found = doubtful(task, chosen, rejection, surface, rig.projector)
@@ -99,11 +96,12 @@ def test_signs_add_up(misfit: float, is_refused: bool) -> None:
 
 @pytest.mark.parametrize(("part", "is_refused"), [(0.3, False), (0.7, True)])
 def test_what_is_left_of_a_surface_that_is_mostly_refused(part: float, is_refused: bool) -> None:
-    n_rows, _ = task_shape()
-    found = refused(rejected=np.s_[: int(part * n_rows)])[Rejection.AMBIGUOUS]
-    kept = mask(np.s_[int(part * n_rows) :]) & plane_task()[1].valid
-    assert found[kept].all() == is_refused
-    assert found.any() == is_refused
+    _, task, chosen = plane_task()
+    rejection = np.full(task.valid.shape, np.uint16(Rejection.OUTSIDE_VOLUME))
+    rejection[INSIDE] = 0  # what lies outside the volume is decided as well
+    assert not is_fragment(task, chosen, rejection).any()
+    rejection[: int(part * task.valid.shape[0])] = np.uint16(Rejection.NO_MATCH)
+    np.testing.assert_array_equal(is_fragment(task, chosen, rejection), task.valid & is_refused)
 
 
 @pytest.mark.parametrize("strict", [False, True])

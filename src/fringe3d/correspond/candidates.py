@@ -24,7 +24,7 @@ from fringe3d.correspond.solving import (
     solve,
 )
 from fringe3d.correspond.strictness import doubtful
-from fringe3d.correspond.surfaces import no_surer_than_most
+from fringe3d.correspond.surfaces import is_fragment, no_surer_than_most
 from fringe3d.correspond.visibility import is_hidden, takes_foreign_light
 from fringe3d.correspond.weighing import (
     TWO_PI,
@@ -117,7 +117,8 @@ def choose_orders(
     bias : CalibrationBias or None; of the rig; None learns it from the images
     search : bool; no code confirms the orders: where the bias is not known, look for all that go
         with the images (where they come with different orders, these are less probable), and reject
-        points that the surface itself hides from C2 or the light
+        points that the surface itself hides from C2 or the light, and fragments of surfaces. A
+        known bias is refined
     witnesses : Witnesses or None; further cameras, and the frame before
     min_probability : float; less probable orders are AMBIGUOUS; 0 takes the best that fits
     fit_sigma : float; residuals beyond are no fit
@@ -175,6 +176,9 @@ def choose_orders(
         if strict:
             agrees &= agrees_with_c2(task, chosen, back, seen_back, strict=True)
     rejection = _rejection(task, chosen, agrees, hidden, min_probability)
+    if search:
+        fragment = is_fragment(task, chosen, rejection) & (rejection == 0)
+        reject(rejection, fragment, Rejection.AMBIGUOUS)
     if search and strict:
         for where, reason in doubtful(task, chosen, rejection, surface, projector):
             reject(rejection, where, reason)

@@ -1,4 +1,4 @@
-"""What metrology does without: points whose light may be that of two surfaces, and fragments."""
+"""What metrology does without: points whose light may be that of two surfaces."""
 
 from __future__ import annotations
 
@@ -9,16 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter, uniform_filter
 
-from fringe3d.correspond.surfaces import surfaces
 from fringe3d.correspond.visibility import is_hidden
 from fringe3d.correspond.weighing import Choice, Task
 from fringe3d.geometry import project
-from fringe3d.model import NO_ORDER, Device, Rejection
+from fringe3d.model import Device, Rejection
 
 Bools = NDArray[np.bool_]
-
-LEAST_DECIDED = 0.5
-"""Part of a smooth surface. Where most of it is refused, chance may agree with the rest."""
 
 MARGIN_PX = 0.5
 """Of C2 and the projector, next to what they do not see: half a pixel of light from there."""
@@ -60,8 +56,6 @@ def doubtful(
     point lies next to what the devices do not see. Together this tells such pixels, of which no
     sign alone is sure.
     """
-    decided = (rejection == 0) | (rejection == np.uint16(Rejection.OUTSIDE_VOLUME))
-    yield _is_fragment(task, chosen, decided), Rejection.AMBIGUOUS
     kept = task.valid & (rejection == 0)
     missing = 1 - uniform_filter(kept.astype(np.float64), NEXT_PX)
     border = kept & (missing > LEAST_MISSING)
@@ -91,17 +85,6 @@ def _lack(modulation: NDArray[np.float32]) -> NDArray[np.float64]:
     known = np.nan_to_num(modulation).astype(np.float64)
     brightest = maximum_filter(known, NEXT_PX)
     return 1 - np.divide(known, brightest, out=np.ones(known.shape), where=brightest > 0)
-
-
-def _is_fragment(task: Task, chosen: Choice, decided: Bools) -> Bools:
-    known = chosen.order != NO_ORDER
-    if not known.any():
-        return np.zeros(task.valid.shape, bool)
-    part = surfaces(task, chosen.order, known, smooth=True)
-    share = np.bincount(part, decided[task.valid][known]) / np.bincount(part)
-    alone = np.zeros(len(known), bool)
-    alone[known] = share[part] < LEAST_DECIDED
-    return _spread(task, alone)
 
 
 def _spread(task: Task, values: NDArray[Any]) -> NDArray[Any]:

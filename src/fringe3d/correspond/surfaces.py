@@ -13,7 +13,7 @@ from scipy.sparse.csgraph import breadth_first_order, connected_components, mini
 from fringe3d.correspond._joining import join_surfaces
 from fringe3d.correspond.bias import PATCH_PX
 from fringe3d.correspond.weighing import CLEAR, LARGEST_EXTRA, Choice, Task
-from fringe3d.model import NO_ORDER
+from fringe3d.model import NO_ORDER, Rejection
 
 Bools = NDArray[np.bool_]
 Ints = NDArray[np.int64]
@@ -38,6 +38,9 @@ half of a surface may be hidden from C2 where it truly is, yet fit where it is n
 ODDS_POWER = 3
 """Votes of neighbours are not independent: a surface has as few, however many its pixels. With 97 %
 of them its order is certain, with 70 % the odds are 13 to 1."""
+
+LEAST_DECIDED = 0.5
+"""Part of a surface without which the rest is a fragment."""
 
 LEAST_VOTES = 0.2
 """Part of a surface that must be clear for the rest to follow."""
@@ -109,6 +112,29 @@ def made_whole(task: Task, chosen: Choice, /, *, doubts: bool = True) -> Choice:
         places[moved[goes]] = place[goes]
         probability[moved] = np.where(goes, share[of], chosen.probability[moved])
     return replace(chosen, place=places, probability=probability)
+
+
+def is_fragment(task: Task, chosen: Choice, rejection: NDArray[np.uint16], /) -> Bools:
+    """Tell which pixels belong to a smooth surface of which most is refused, (row, col).
+
+    Chance agrees with a part of a wrong surface: with some patches, within which errors are alike.
+
+    Parameters
+    ----------
+    task : Task
+    chosen : Choice; orders (n,)
+    rejection : (row, col) uint16; a surface outside the volume is not refused, it is elsewhere
+    """
+    alone = np.full(task.valid.shape, False)
+    known = chosen.order != NO_ORDER
+    if known.any():
+        decided = (rejection == 0) | (rejection == np.uint16(Rejection.OUTSIDE_VOLUME))
+        part = surfaces(task, chosen.order, known, smooth=True)
+        share = np.bincount(part, decided[task.valid][known]) / np.bincount(part)
+        own = known.copy()
+        own[known] = share[part] < LEAST_DECIDED
+        alone[task.valid] = own
+    return alone
 
 
 def no_surer_than_most(
