@@ -25,7 +25,7 @@ from cv_lens import cv_project
 from fringe3d.correspond import Rivals, Task, TwoViews, coarse_stride, rivals
 from fringe3d.correspond.candidates import ChosenOrders
 from fringe3d.correspond.solving import Solution
-from fringe3d.model import NO_ORDER, Rejection, Rig
+from fringe3d.model import NO_ORDER, CalibrationBias, Rejection, Rig
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 
@@ -132,6 +132,43 @@ def test_a_learnt_bias_decides_the_plane(sign: int) -> None:
     wrong = choose(rig, views, search=True, bias=solved(SCENE, -sign).bias)
     off = turns_off(rig, views, PLANE, wrong.phases.order_class)
     assert ((wrong.phases.rejection == 0) & (off == 0))[seen].mean() < 0.05
+
+
+def tilted(bias: CalibrationBias, px: float, *, is_known: bool) -> CalibrationBias:
+    """Return a stored bias that is wrong towards the sides of the image, and says so or not."""
+    wrong = bias.coefficients_px.copy()
+    wrong[0, 1] += px
+    sigma = np.tile([0.02, px, px] + 6 * [0.02], 2)
+    covariance = None if is_known else np.diag(sigma**2)
+    return replace(bias, coefficients_px=wrong, covariance_px2=covariance)
+
+
+@pytest.mark.parametrize("px", [0.35, -0.35])
+def test_a_stored_bias_is_refined_where_it_is_not_known(px: float) -> None:
+    """A period is a quarter of a pixel: at the sides others fit."""
+    rig, seen = nearly_symmetric(), visible(nearly_symmetric(), SCENE)
+    views, true = views_of(rig, SCENE, 1), solved(SCENE, 1).bias
+    right = []
+    for is_known in (True, False):
+        result = choose(rig, views, search=True, bias=tilted(true, px, is_known=is_known))
+        off = turns_off(rig, views, SCENE, result.phases.order_class)
+        right.append(((result.phases.rejection == 0) & (off == 0))[seen].mean())
+    assert right[0] < 0.7
+    assert right[1] > 0.995
+    assert result.bias.coefficients_px[0, 1] == pytest.approx(true.coefficients_px[0, 1], abs=0.01)
+
+
+def test_a_bias_that_is_not_known_well_enough_leaves_a_plane_open() -> None:
+    rig, seen = nearly_symmetric(), visible(nearly_symmetric(), PLANE)
+    views = views_of(rig, PLANE, 1)
+    wrong = []
+    for is_known in (True, False):
+        bias = tilted(solved(SCENE, 1).bias, 0.35, is_known=is_known)
+        result = choose(rig, views, search=True, bias=bias)
+        off = turns_off(rig, views, PLANE, result.phases.order_class)
+        wrong.append(((result.phases.rejection == 0) & (off != 0))[seen].mean())
+    assert wrong[0] > 0.1
+    assert wrong[1] == 0
 
 
 def test_a_bias_that_changes_sign_is_found() -> None:

@@ -90,7 +90,7 @@ def measure(
         MIN:MAX, mm along the principal ray of C1; needed with few bits.
     strict
         Metrology: only orders that are certain; with m6 also no points next to what the second
-        camera does not see or the light does not reach.
+        camera does not see or the light does not reach, nor pixels whose light may be mixed.
     drop_edges
         Leave out points next to depth edges, where light of two surfaces mixes.
     min_modulation

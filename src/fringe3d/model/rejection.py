@@ -49,7 +49,8 @@ _MEANINGS = {
     Rejection.OUTSIDE_VOLUME: "the point lies outside the measuring volume",
     Rejection.UNCERTAIN: "the rays meet at so flat an angle that the point means nothing",
     Rejection.ISOLATED: "the point has no neighbours on its surface",
-    Rejection.EDGE: "next to a depth edge, where light of two surfaces mixes (--drop-edges)",
+    Rejection.EDGE: "next to a depth edge, where light of two surfaces mixes "
+    "(--drop-edges, --strict)",
     Rejection.SAME_POINT: "shares its projector pixel with neighbours: one point stands for all",
     Rejection.HIDDEN: "the surface itself hides the point from the second camera or the light",
 }
