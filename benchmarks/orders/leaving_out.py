@@ -71,14 +71,21 @@ def _nothing_beyond() -> Patches:
 def _no_bias() -> Patches:
     """Judge with the calibration as it is; residuals may miss by what is expected of one."""
 
-    def choose(task: Task, _bias: CalibrationBias | None) -> tuple[Choice, CalibrationBias]:
+    def choose(
+        task: Task, _bias: CalibrationBias | None, **_: Any
+    ) -> tuple[Choice, CalibrationBias]:
         still = task.frame.constant((0.0, 0.0), scatter_px=weighing.EXPECTED_CALIBRATION_PX)
         return task.decide(still), still
 
     return [
         patch(f"{HERE}.candidates.rivals", lambda _tasks: None),
         patch(f"{HERE}.candidates.solve", choose),
+        *_not_refined(),
     ]
+
+
+def _not_refined() -> Patches:
+    return [patch(f"{HERE}.candidates.refined", lambda _task, known: known)]
 
 
 def _one_start() -> Patches:
@@ -104,6 +111,20 @@ def _no_light_check() -> Patches:
     return [patch(f"{HERE}.candidates.takes_foreign_light", none_foreign)]
 
 
+def _hidden_kept() -> Patches:
+    def none_hidden(task: Task, *_: Any, **__: Any) -> NDArray[np.bool_]:
+        return np.zeros(len(task.pixels), bool)
+
+    return [patch(f"{HERE}.candidates.is_hidden", none_hidden)]
+
+
+def _fragments_kept() -> Patches:
+    def no_fragment(task: Task, *_: Any, **__: Any) -> NDArray[np.bool_]:
+        return np.zeros(task.valid.shape, bool)
+
+    return [patch(f"{HERE}.candidates.is_fragment", no_fragment)]
+
+
 def _not_made_whole() -> Patches:
     return [patch.object(solving, "made_whole", lambda _task, chosen, **_: chosen)]
 
@@ -117,11 +138,14 @@ PARTS: dict[str, Callable[[], Patches]] = {
     "neighbours: each pixel alone": _each_pixel_alone,
     "orders beyond the volume": _nothing_beyond,
     "bias": _no_bias,
+    "refining of the stored bias": _not_refined,
     "several starts": _one_start,
     "jumps, where solutions are compared": _no_jumps,
     "surfaces made whole": _not_made_whole,
     "check both ways": _no_way_back,
     "check of the light": _no_light_check,
+    "check of hidden points": _hidden_kept,
+    "check of fragments": _fragments_kept,
     "neighbours: one vote for each region": _voting(grown),
     "neighbours: scikit-image's unwrap_phase, one vote for each region": _voting(by_library),
 }

@@ -11,7 +11,7 @@ from benchmarks.orders.scenes import Scene
 
 OTHERS = ("M3, best order", "M3")
 
-ONLY_STORED = ("bias", *(name for name in PARTS if "vote" in name))
+ONLY_STORED = ("bias", "refining of the stored bias", *(name for name in PARTS if "vote" in name))
 """What takes no bias from the images: without a stored one there is nothing else to see."""
 
 ONLY_LEARNT = ("several starts", "jumps, where solutions are compared")
