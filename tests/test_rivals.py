@@ -158,6 +158,21 @@ def test_a_stored_bias_is_refined_where_it_is_not_known(px: float) -> None:
     assert result.bias.coefficients_px[0, 1] == pytest.approx(true.coefficients_px[0, 1], abs=0.01)
 
 
+@pytest.mark.parametrize("search", [False, True])
+def test_a_code_refines_a_stored_bias(search: bool) -> None:
+    rig, seen = nearly_symmetric(), visible(nearly_symmetric(), SCENE)
+    assert rig.projector is not None
+    maps = [phase_map(c, rig.projector, SCENE) for c in rig.cameras]
+    views = replace(views_of(rig, SCENE, 1), phases1=maps[0], phases2=maps[1])
+    kept = []
+    for is_known in (True, False):
+        bias = tilted(solved(SCENE, 1).bias, 1.0, is_known=is_known)
+        result = choose(rig, views, search=search, bias=bias)
+        kept.append((result.phases.rejection == 0)[seen].mean())
+    assert kept[0] < 0.5
+    assert kept[1] > 0.995
+
+
 def test_a_bias_that_is_not_known_well_enough_leaves_a_plane_open() -> None:
     rig, seen = nearly_symmetric(), visible(nearly_symmetric(), PLANE)
     views = views_of(rig, PLANE, 1)

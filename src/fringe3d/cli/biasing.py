@@ -127,8 +127,8 @@ def calibrate_bias(options: BiasOptions, reporter: Reporter, /) -> tuple[str, di
     if found.sigma_px > LARGEST_SIGMA_PX:
         reporter.warn(
             f"the bias is known to {found.sigma_px:.2f} px only, a good one to "
-            f"{LARGEST_SIGMA_PX:g} px: measure may do better without it. Take several scans, or "
-            "one with a Gray code"
+            f"{LARGEST_SIGMA_PX:g} px: measure refines it where surfaces are clear; what is alone "
+            "may stay open. Take several scans, or one with a Gray code"
         )
     return _text(learnt), _record(learnt) | {"out": str(options.out)}
 

@@ -148,8 +148,8 @@ def choose_orders(
             bias = refined(coarse, bias)
         elif (rival := rivals([coarse])) is not None:
             bias = rival.best
-    elif bias is None:
-        bias = learnt_coarsely(views, projector, volume, fit_sigma, together=together)
+    else:
+        bias = learnt_coarsely(views, projector, volume, fit_sigma, known=bias, together=together)
     chosen, bias = solve(task, bias)
     chosen, bias = panel.asked_again(chosen, bias, is_known=is_known or rival is not None)
     if rival is not None:
@@ -192,12 +192,18 @@ def learnt_coarsely(
     volume: MeasuringVolume,
     fit_sigma: float,
     *,
+    known: CalibrationBias | None,
     together: bool = True,
 ) -> CalibrationBias:
-    """Learn the bias from the clear decisions on a part of the pixels, which tells as much."""
+    """Learn the bias from the clear decisions on a part of the pixels, which tells as much; or
+    refine a known one."""
+    if known is not None and known.covariance_px2 is None:
+        return known
     phases1 = views.phases1
     stride = ABSOLUTE_STRIDE if phases1.is_absolute else coarse_stride(phases1.phase)
     coarse = Task(views, projector, volume, fit_sigma**2, together, stride)
+    if known is not None:
+        return refined(coarse, known)
     return learnt_from(coarse, coarse.decide(nothing_known(coarse)))
 
 

@@ -54,8 +54,7 @@ def confirm_orders(
     fit_sigma : float; residuals beyond are no fit
     """
     phases1, phases2 = views.phases1, views.phases2
-    if bias is None:
-        bias = learnt_coarsely(views, projector, volume, fit_sigma)
+    bias = learnt_coarsely(views, projector, volume, fit_sigma, known=bias)
     origin, rays = grid_rays(views.camera1)
     tables = ray_curves(views.camera1, views.camera2, projector, volume, phases1.angle)
     to_p, to_2 = projector.device_from_world, views.camera2.device_from_world
