@@ -94,7 +94,7 @@ def test_signs_add_up(misfit: float, is_refused: bool) -> None:
     assert not found[41:79, 51:99].any()
 
 
-@pytest.mark.parametrize(("part", "is_refused"), [(0.3, False), (0.7, True)])
+@pytest.mark.parametrize(("part", "is_refused"), [(0.6, False), (0.9, True)])
 def test_what_is_left_of_a_surface_that_is_mostly_refused(part: float, is_refused: bool) -> None:
     _, task, chosen = plane_task()
     rejection = np.full(task.valid.shape, np.uint16(Rejection.OUTSIDE_VOLUME))

@@ -39,8 +39,8 @@ ODDS_POWER = 3
 """Votes of neighbours are not independent: a surface has as few, however many its pixels. With 97 %
 of them its order is certain, with 70 % the odds are 13 to 1."""
 
-LEAST_DECIDED = 0.5
-"""Part of a surface without which the rest is a fragment."""
+LEAST_DECIDED = 0.25
+"""Part of a surface; less is a fragment."""
 
 LEAST_VOTES = 0.2
 """Part of a surface that must be clear for the rest to follow."""
@@ -115,7 +115,7 @@ def made_whole(task: Task, chosen: Choice, /, *, doubts: bool = True) -> Choice:
 
 
 def is_fragment(task: Task, chosen: Choice, rejection: NDArray[np.uint16], /) -> Bools:
-    """Tell which pixels belong to a smooth surface of which most is refused, (row, col).
+    """Tell which pixels belong to a smooth surface of which hardly any is left, (row, col).
 
     Chance agrees with a part of a wrong surface: with some patches, within which errors are alike.
 
