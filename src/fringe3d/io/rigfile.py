@@ -174,8 +174,8 @@ def _symmetric(name: str, lower_triangle: list[list[float]], size: int) -> NDArr
     """Return a matrix of which the file has the rows up to the diagonal."""
     if [len(row) for row in lower_triangle] != list(range(1, size + 1)):
         raise ValueError(
-            f"{name}: expected {size} rows of 1 to {size} numbers, found {len(lower_triangle)} "
-            f"rows of {', '.join(str(len(row)) for row in lower_triangle)} numbers"
+            f"{name}: expected rows of 1 to {size} numbers, found {len(lower_triangle)} rows of "
+            f"{', '.join(str(len(row)) for row in lower_triangle)} numbers"
         )
     matrix = np.zeros((size, size))
     for number, row in enumerate(lower_triangle):
