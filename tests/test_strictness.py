@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from closed_phases import PLANE, Surface, choose, phase_map, small_rig, task_of, visible
 from fringe3d.correspond import Task, TwoViews
+from fringe3d.correspond.choice import Choice
 from fringe3d.correspond.strictness import doubtful
 from fringe3d.correspond.surfaces import is_fragment
-from fringe3d.correspond.weighing import Choice
 from fringe3d.model import Rejection, Rig
 
 pytestmark = pytest.mark.usefixtures("one_thread")

@@ -10,9 +10,9 @@ import pytest
 from numpy.typing import NDArray
 
 from fringe3d.correspond import _orders
+from fringe3d.correspond.choice import Candidates, Choice
 from fringe3d.correspond.grid import index_of, rises_of
 from fringe3d.correspond.surfaces import made_whole, no_surer_than_most
-from fringe3d.correspond.weighing import Candidates, Choice
 from fringe3d.model import NO_ORDER
 
 Floats = NDArray[np.float64]

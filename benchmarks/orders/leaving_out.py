@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 from benchmarks.orders.voting import Unwrapping, by_library, deciding_by_vote, grown
 from fringe3d.correspond import curves, solving, weighing
-from fringe3d.correspond.weighing import Choice, Task
+from fringe3d.correspond.choice import Choice
+from fringe3d.correspond.weighing import Task
 from fringe3d.model import CalibrationBias
 
 HERE = "fringe3d.correspond"

@@ -14,7 +14,8 @@ from scipy.ndimage import binary_erosion, distance_transform_edt
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import breadth_first_order, connected_components, minimum_spanning_tree
 
-from fringe3d.correspond.weighing import LARGEST_COST, Choice, Task
+from fringe3d.correspond.choice import Choice
+from fringe3d.correspond.weighing import LARGEST_COST, Task
 from fringe3d.model import NO_ORDER
 
 Bools = NDArray[np.bool_]

@@ -101,7 +101,7 @@ def calibrate_bias(options: BiasOptions, reporter: Reporter, /) -> tuple[str, di
     from fringe3d.report.bias import write_bias_picture
     from fringe3d.rig_bias import LEAST_CERTAINTY, learn_rig_bias
 
-    picture = options.out.with_name(f"{options.out.stem}-bias.png")
+    picture = options.out.with_name(f"{options.out.stem.removesuffix('-bias')}-bias.png")
     for target in (options.out, picture):
         require_writable(target, overwrite=options.overwrite, inputs=options.scans)
     scans = read_scans(options, reporter)

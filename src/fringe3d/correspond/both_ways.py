@@ -7,7 +7,8 @@ from numpy.typing import NDArray
 
 from fringe3d.correspond import _around
 from fringe3d.correspond.bias import Frame
-from fringe3d.correspond.weighing import CLEAR, TWO_PI, Choice, Task, TwoViews
+from fringe3d.correspond.choice import Choice
+from fringe3d.correspond.weighing import CLEAR, TWO_PI, Task, TwoViews
 from fringe3d.geometry import project, rays, sheet_crossing
 from fringe3d.model import NO_ORDER, CalibrationBias, Device
 from fringe3d.model.bias import terms_of

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from fringe3d.correspond._orders import DIFFERENCE, RATIO
 from fringe3d.correspond.both_ways import agrees_with_c2, swapped, swapped_bias
+from fringe3d.correspond.choice import Choice
 from fringe3d.correspond.solving import (
     DOUBT,
     coarse_stride,
@@ -26,12 +27,7 @@ from fringe3d.correspond.solving import (
 from fringe3d.correspond.strictness import doubtful
 from fringe3d.correspond.surfaces import is_fragment, no_surer_than_most
 from fringe3d.correspond.visibility import is_hidden, takes_foreign_light
-from fringe3d.correspond.weighing import (
-    TWO_PI,
-    Choice,
-    Task,
-    TwoViews,
-)
+from fringe3d.correspond.weighing import TWO_PI, Task, TwoViews
 from fringe3d.correspond.witnesses import Witnesses, ask
 from fringe3d.model import (
     NO_ORDER,

@@ -22,13 +22,13 @@ from fringe3d.correspond.bias import (
     joined,
     learn_bias,
 )
+from fringe3d.correspond.choice import Choice
 from fringe3d.correspond.surfaces import CONTINUOUS, absolute_turns, made_whole, surfaces
 from fringe3d.correspond.weighing import (
     CLEAR,
     EXPECTED_CALIBRATION_PX,
     LARGEST_COST,
     LARGEST_EXTRA,
-    Choice,
     Task,
 )
 from fringe3d.geometry import project, rays

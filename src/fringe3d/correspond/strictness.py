@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter, uniform_filter
 
+from fringe3d.correspond.choice import Choice
 from fringe3d.correspond.visibility import is_hidden
-from fringe3d.correspond.weighing import Choice, Task
+from fringe3d.correspond.weighing import Task
 from fringe3d.geometry import project
 from fringe3d.model import Device, Rejection
 

@@ -12,7 +12,8 @@ from scipy.sparse.csgraph import breadth_first_order, connected_components, mini
 
 from fringe3d.correspond._joining import join_surfaces
 from fringe3d.correspond.bias import PATCH_PX
-from fringe3d.correspond.weighing import CLEAR, LARGEST_EXTRA, Choice, Task
+from fringe3d.correspond.choice import Choice
+from fringe3d.correspond.weighing import CLEAR, LARGEST_EXTRA, Task
 from fringe3d.model import NO_ORDER, Rejection
 
 Bools = NDArray[np.bool_]

@@ -6,9 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fringe3d.correspond import _light
+from fringe3d.correspond.choice import Choice
 from fringe3d.correspond.occlusion import hidden_from
 from fringe3d.correspond.surfaces import surfaces
-from fringe3d.correspond.weighing import TWO_PI, Choice, Task
+from fringe3d.correspond.weighing import TWO_PI, Task
 from fringe3d.geometry import sheet_crossing
 from fringe3d.model import NO_ORDER, Device
 

@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fringe3d.correspond._orders import DIFFERENCE
+from fringe3d.correspond.choice import Candidates, Choice
 from fringe3d.correspond.solving import learnt_from, nothing_known, solve
-from fringe3d.correspond.weighing import LARGEST_COST, Candidates, Choice, Task
+from fringe3d.correspond.weighing import LARGEST_COST, Task
 from fringe3d.model import CalibrationBias, Device, MeasuringVolume, PhaseMap
 
 
