@@ -156,23 +156,14 @@ def choose_orders(
                          outside=chosen.outside * agreement)  # fmt: skip
     if not search:  # a code leaves so few orders that what fits outside is outside
         chosen = replace(chosen, outside=np.ones(len(task.pixels)))
-    agrees, hidden = np.ones(len(task.pixels), bool), np.zeros(len(task.pixels), bool)
-    surface = agrees
+    agrees, surface = np.ones(len(task.pixels), bool), np.zeros(len(task.pixels), bool)
     if together and not views.phases1.is_absolute and len(task.pixels):
         back = Task(swapped(views), projector, volume, task.limit, together=True)
-        bias_back = swapped_bias(bias, task, chosen, projector, back.frame)
-        seen_back, _ = solve(back, bias_back, doubts=False)
-        # What claims light or hides other points need not be as certain as a point must, if strict.
-        agrees = agrees_with_c2(task, chosen, back, seen_back, strict=False)
-        surface = agrees & (chosen.cost <= task.limit)
-        agrees &= ~takes_foreign_light(task, chosen, surface, projector)
-        surface &= agrees
-        if search:
-            hidden = is_hidden(task, chosen, surface, projector)
-        if strict:
-            agrees &= agrees_with_c2(task, chosen, back, seen_back, strict=True)
-    rejection = _rejection(task, chosen, agrees, hidden, min_probability)
+        agrees, surface = _confirmed(task, chosen, bias, back, projector, strict=strict)
+    rejection = _rejection(task, chosen, agrees, min_probability)
     if search:
+        hidden = is_hidden(task, chosen, surface, projector)
+        reject(rejection, _spread(hidden, task.valid, fill=False), Rejection.HIDDEN)
         fragment = is_fragment(task, chosen, rejection) & (rejection == 0)
         reject(rejection, fragment, Rejection.AMBIGUOUS)
     if search and strict:
@@ -180,6 +171,29 @@ def choose_orders(
             reject(rejection, where, reason)
     found = _chosen(task, chosen, bias, rejection)
     return replace(found, rival_shift=rival.shift() if rival is not None else 0)
+
+
+def _confirmed(
+    task: Task,
+    chosen: Choice,
+    bias: CalibrationBias,
+    back: Task,
+    projector: Device,
+    *,
+    strict: bool,
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Return which orders C2, asked in its turn, and the light confirm, and which of them are well
+    founded, (n,) each: to hide other points they need not be as certain as a point must, if strict.
+    """
+    bias_back = swapped_bias(bias, task, chosen, projector, back.frame)
+    seen_back, _ = solve(back, bias_back, doubts=False)
+    agrees = agrees_with_c2(task, chosen, back, seen_back, strict=False)
+    fits = chosen.cost <= task.limit
+    agrees &= ~takes_foreign_light(task, chosen, agrees & fits, projector)
+    surface = agrees & fits
+    if strict:
+        agrees &= agrees_with_c2(task, chosen, back, seen_back, strict=True)
+    return agrees, surface
 
 
 def learnt_coarsely(
@@ -207,7 +221,6 @@ def _rejection(
     task: Task,
     chosen: Choice,
     agrees: NDArray[np.bool_],
-    hidden: NDArray[np.bool_],
     min_probability: float,
 ) -> NDArray[np.uint16]:
     """Return why pixels have no point, (row, col); 0 where they have one, or no phase."""
@@ -218,7 +231,6 @@ def _rejection(
         (task.misses | (fits & ~chosen.is_inside & certain), Rejection.OUTSIDE_VOLUME),
         (~task.misses & ~(fits & agrees), Rejection.NO_MATCH),
         (fits & ~task.misses & ~certain, Rejection.AMBIGUOUS),
-        (hidden, Rejection.HIDDEN),
     ):
         reject(rejection, _spread(where, task.valid, fill=False), reason)
     return rejection
