@@ -17,7 +17,7 @@ pytest.importorskip("embreex")
 @pytest.fixture(scope="module")
 def scan(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("bias") / "scan"
-    main(["simulate", "kolibri", "--object", "two-bodies", "--plan", "m6", "--camera-size",
+    main(["simulate", "kolibri", "--object", "two-bodies", "--plan", "m2", "--camera-size",
           "320x256", "--out", str(out)])  # fmt: skip
     return out
 

@@ -178,6 +178,8 @@ def test_the_size_of_the_bias_is_told() -> None:
     assert finding.value == pytest.approx(0.5)
     assert "stored with the rig" in finding.text
     assert "0.50 px" in finding.text
+    (refined,) = check_bias(constant(0.3, -0.39), stored)
+    assert "stored with the rig, refined by these images" in refined.text
     (learnt,) = check_bias(constant(0.9, 1.2), None)
     assert learnt.level == "warning"
     assert learnt.value == pytest.approx(1.5)
@@ -228,13 +230,16 @@ def test_open_orders_are_told(n_ambiguous: int, level: str) -> None:
     assert ("AMBIGUOUS" in finding.text) == (level == "warning")
 
 
-@pytest.mark.parametrize(("shift", "bit"), [(1, 0), (2, 1), (3, 0), (0, None)])
+@pytest.mark.parametrize(("shift", "bit"), [(1, 0), (2, 1), (3, 0), (4, 2), (0, None)])
 def test_what_would_tell_the_rivals_apart(shift: int, bit: int | None) -> None:
     """A cyclic Gray code's finest image changes with every period, the next with every second."""
     (finding,) = check_evidence(matches_of(0, 10, 0), shift)
     assert (f"{shift} period(s) apart" in finding.text) == (shift > 0)
     if bit is not None:
         assert f"image {bit} (0 is the finest)" in finding.text
+    assert "calibrate bias" in finding.text
+    (finding,) = check_evidence(matches_of(0, 10, 0), shift, has_bias=True)
+    assert "calibrate bias" not in finding.text
 
 
 def test_nothing_matched_is_no_doubt() -> None:

@@ -10,6 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from closed_phases import PLANE, Surface, choose, phase_map, small_rig, task_of, visible
+from cv_lens import cv_project, cv_rays
 from fringe3d.correspond import Task, TwoViews
 from fringe3d.correspond.choice import Choice
 from fringe3d.correspond.strictness import doubtful
@@ -19,6 +20,7 @@ from fringe3d.model import Rejection, Rig
 pytestmark = pytest.mark.usefixtures("one_thread")
 
 Mask = NDArray[np.bool_]
+Floats = NDArray[np.float64]
 
 BALL = Surface(center_mm=(2.0, -2.0, 2.0), radius_mm=6.0)
 """Before the plane: it hides a part of it from C2, and another from the light."""
@@ -41,17 +43,24 @@ def plane_task() -> tuple[Rig, Task, Choice]:
     return rig, task, task.decide(none)
 
 
-def refused(*, faint: Any = (), left: float = 1.0, misfit: float = 0.0) -> dict[Rejection, Mask]:
+def refused(
+    *, faint: Any = (), left: float = 1.0, misfit: float = 0.0, left2: float = 1.0
+) -> dict[Rejection, Mask]:
     """Return what is doubtful of a plane of which only INSIDE has points.
 
-    The pixels `faint` have but a part of the modulation, and all residuals the same misfit.
+    The pixels `faint` have but a part of the modulation, in C1 (`left`) or where C2 sees their
+    points (`left2`), and all residuals the same misfit.
     """
     rig, task, chosen = plane_task()
     phases1 = task.views.phases1
     modulation = phases1.modulation.copy()
     modulation[faint] *= left
     task.views = replace(task.views, phases1=replace(phases1, modulation=modulation))
-    task.views = replace(task.views, phases2=phases1)  # of even modulation
+    even = np.full(task.views.camera2.shape, 80.0)
+    if left2 < 1:
+        col, row = np.rint(place_in_c2(task, chosen, faint)).astype(int)
+        even[row, col] *= left2
+    task.views = replace(task.views, phases2=replace(task.views.phases2, modulation=even))
     chosen.__dict__["cost"] = np.full(len(chosen.place), misfit * task.limit)
     rejection = np.full(task.valid.shape, np.uint16(Rejection.OUTSIDE_VOLUME))
     rejection[INSIDE] = 0
@@ -59,6 +68,13 @@ def refused(*, faint: Any = (), left: float = 1.0, misfit: float = 0.0) -> dict[
     surface = np.ones(len(chosen.place), bool)
     found = doubtful(task, chosen, rejection, surface, rig.projector)
     return {reason: where for where, reason in found}
+
+
+def place_in_c2(task: Task, chosen: Choice, pixel: Any) -> Floats:
+    number = np.flatnonzero(mask(pixel)[task.valid])[0]
+    origin, directions = cv_rays(task.views.camera1, np.array([[pixel[1], pixel[0]]], float))
+    point = origin + chosen.depth_mm[number] * directions
+    return np.asarray(cv_project(task.views.camera2, point)[0])
 
 
 def mask(where: Any) -> Mask:
@@ -80,6 +96,14 @@ def test_a_faint_pixel_at_a_border_is_refused(left: float, is_refused: bool) -> 
     """It has three neighbours of nine without a point: 0.2 of 1; 0.8 of its light may be gone."""
     found = refused(faint=np.s_[40, 70], left=left)
     np.testing.assert_array_equal(found[Rejection.EDGE], mask(np.s_[40, 70]) & is_refused)
+
+
+@pytest.mark.parametrize(("left", "is_refused"), [(0.8, False), (0.1, True)])
+def test_so_is_one_whose_point_c2_sees_faintly(left: float, is_refused: bool) -> None:
+    """0.2 for the neighbours, 0.4 for C1: what C2 lacks counts half, and 0.4 are left."""
+    pixel = np.s_[40, 70]
+    found = refused(faint=pixel, left=0.6, left2=left)[Rejection.EDGE]
+    np.testing.assert_array_equal(found, mask(pixel) & is_refused)
 
 
 def test_a_faint_pixel_in_the_middle_stays() -> None:

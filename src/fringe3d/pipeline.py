@@ -204,7 +204,7 @@ def measure(
 def _check_orders(matched: Matched, main: PhaseMap, rig: Rig, method: str) -> list[Finding]:
     """Check what the fringe orders rest on; too many that several fit are refused but by M6."""
     ambiguity = (
-        check_evidence(matched.matches, matched.rival_shift)
+        check_evidence(matched.matches, matched.rival_shift, has_bias=rig.bias is not None)
         if method == "m6"
         else _refuse(check_ambiguity(matched.matches, main), MethodError)
     )

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fringe3d.correspond import FIT_SIGMA, Task, coarse_stride, rivals
+from fringe3d.correspond import DOUBT, FIT_SIGMA, Task, coarse_stride, rivals
 from fringe3d.decode import decode
 from fringe3d.errors import MethodError
 from fringe3d.matching import best_direction_first, two_views
@@ -89,7 +89,9 @@ def learn_rig_bias(
             "few such pixels. Take a well-structured scan, or one with a Gray code"
         )
     agree = [
-        found.agreement(task.views.phases1.phase.shape, number=number)[task.grid][task.valid]
+        found.agreement(task.views.phases1.phase.shape, number=number, doubt=DOUBT)[task.grid][
+            task.valid
+        ]
         for number, task in enumerate(found.tasks)
     ]
     source = ", ".join(scan.title or f"scan {number + 1}" for number, scan in enumerate(scans))

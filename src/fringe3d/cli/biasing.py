@@ -137,8 +137,8 @@ def _text(learnt: LearntBias) -> str:
     bias = learnt.bias
     return (
         f"calibration bias: points in the second camera miss by {bias.rms_px:.2f} px (rms over "
-        f"image and depth), known to {bias.sigma_px:.2f} px; {bias.scatter_px:.2f} px are not "
-        f"smooth. {learnt.certainty:.1%} of the fringe orders are certain"
+        f"image and depth), known to {bias.sigma_px:.2f} px; at most {bias.scatter_px:.2f} px are "
+        f"not smooth. {learnt.decided_part:.1%} of the fringe orders are certain"
     )
 
 

@@ -13,12 +13,13 @@ from fringe3d.correspond.projector import (
     twin_share,
 )
 from fringe3d.correspond.single import confirm_orders
-from fringe3d.correspond.solving import Rivals, coarse_stride, rivals
+from fringe3d.correspond.solving import DOUBT, Rivals, coarse_stride, rivals
 from fringe3d.correspond.stereo import fringe_crossing, match_cameras
 from fringe3d.correspond.weighing import Task, TwoViews
 from fringe3d.correspond.witnesses import Witnesses
 
 __all__ = [
+    "DOUBT",
     "FIT_SIGMA",
     "GUARD_PX",
     "ChosenOrders",

@@ -149,8 +149,11 @@ def choose_orders(
     chosen, bias = solve(task, bias)
     chosen, bias = panel.asked_again(chosen, bias, is_known=is_known or rival is not None)
     if rival is not None:
-        doubt = DOUBT if witnesses.previous_turns is None else 1.0  # a former frame has decided
-        agreement = rival.agreement(views.phases1.phase.shape, doubt=doubt)[task.valid]
+        shape = views.phases1.phase.shape
+        agreement = rival.agreement(shape, doubt=DOUBT)[task.valid]
+        if witnesses.previous_turns is not None:  # where it has a point it has decided
+            decided = np.isfinite(task.before)
+            agreement[decided] = rival.agreement(shape)[task.valid][decided]
         agreement = no_surer_than_most(task, chosen, agreement)
         chosen = replace(chosen, probability=chosen.probability * agreement,
                          outside=chosen.outside * agreement)  # fmt: skip

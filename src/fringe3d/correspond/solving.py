@@ -162,7 +162,9 @@ def refined(task: Task, known: CalibrationBias, /) -> CalibrationBias:
         if not clear.any():
             return bias
         evidence = chosen.clear(task.pixels, clear)
-        bias = learn_bias(evidence, frame, start=bias, known=known, n_alike=_n_alike(task))
+        learnt = learn_bias(evidence, frame, start=bias, known=known, n_alike=_n_alike(task))
+        # What one scene follows smoothly another need not.
+        bias = replace(learnt, scatter_px=max(learnt.scatter_px, known.scatter_px))
     return bias
 
 

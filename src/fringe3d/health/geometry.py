@@ -206,25 +206,31 @@ def _part(name: str, share: float, most: float, text: str, advice: str) -> list[
     return [Finding("warning", name, share, text + advice)]
 
 
-def check_evidence(matches: Correspondences, rival_shift: int, /) -> list[Finding]:
+def check_evidence(
+    matches: Correspondences, rival_shift: int, /, *, has_bias: bool = False
+) -> list[Finding]:
     """Judge how many fringe orders the evidence of all pixels leaves open (method M6).
 
     Parameters
     ----------
     matches : Correspondences
     rival_shift : int; periods by which another solution differs that fits as well; 0 for none
+    has_bias : bool; the calibration's bias is stored with the rig
     """
     ambiguous = (matches.rejection & np.uint16(Rejection.AMBIGUOUS)) != 0
     candidates = int((ambiguous | (matches.rejection == 0)).sum())
     share = float(ambiguous.sum() / candidates) if candidates else 0.0
-    text = f"{share:.1%} of the pixels fit several fringe orders about equally well"
+    text = f"{share:.1%} of the pixels with candidates fit several fringe orders about equally well"
     apart = f", {rival_shift} period(s) apart" if rival_shift else ""
-    bit = 0 if rival_shift % 2 else 1
+    bit = (rival_shift & -rival_shift).bit_length() - 1 if rival_shift else 0
+    bias = (
+        "the rig's calibration bias, learnt once from a well-structured scan of something else "
+        "(fringe3d calibrate bias); "
+    )
     advice = (
-        f"{apart}; they are rejected as AMBIGUOUS. What would tell: the rig's calibration bias, "
-        "learnt once from a well-structured scan (fringe3d calibrate bias); image "
-        f"{bit} (0 is the finest) of a cyclic Gray code; a narrower depth range (--depth MIN:MAX); "
-        "or a projector at another angle (fringe3d design --optimise)"
+        f"{apart}; they are rejected as AMBIGUOUS. What would tell: {'' if has_bias else bias}"
+        f"image {bit} (0 is the finest) of a cyclic Gray code; a narrower depth range (--depth "
+        "MIN:MAX); or a projector at another angle (fringe3d design --optimise)"
     )
     return _part("undecided_part", share, UNDECIDED_WARNING, text, advice)
 
@@ -234,13 +240,16 @@ def check_bias(used: CalibrationBias | None, stored: CalibrationBias | None, /) 
     if used is None:
         return []
     rms = used.rms_px
-    of = "stored with the rig" if used is stored else "learnt from these images"
+    fits = stored is not None and stored.fits(used.angle)
+    of = "learnt from these images"
+    if fits:
+        of = "stored with the rig" + ("" if used is stored else ", refined by these images")
     text = f"calibration bias ({of}): points in the second camera miss by {rms:.2f} px (rms)"
     findings = [Finding("ok", "calibration_bias_px", rms, text)]
     if rms > BIAS_WARNING_PX:
         text += f". Good rigs stay below {BIAS_WARNING_PX} px: calibrate again"
         findings = [Finding("warning", "calibration_bias_px", rms, text)]
-    if stored is not None and used is not stored:
+    if stored is not None and not fits:
         text = (
             f"the bias that is stored with the rig belongs to fringes at "
             f"{np.degrees(stored.angle):.1f} degrees; these lie at {np.degrees(used.angle):.1f}: "
