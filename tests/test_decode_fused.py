@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from fringe3d.decode import CameraPhases, decode, wrapped_phase
-from fringe3d.decode._fused import TILE, TILES_AT_ONCE, TWO_PI, ZERO, arctangent
+from fringe3d.decode._fused import TILE, TWO_PI, ZERO, arctangent
 from fringe3d.decode._mend import nearest_column, nearest_rows
 from fringe3d.decode.gray import code_words
 from fringe3d.decode.noise import NOISE_SAMPLE
@@ -132,7 +132,7 @@ PLANS = {
     ),
 }
 
-SHAPES = [(1, 1), (3, TILE + 5), (TILES_AT_ONCE + 3, 2 * TILE), (90, 301)]
+SHAPES = [(1, 1), (3, TILE + 5), (19, 2 * TILE), (90, 301)]
 
 
 def recorded(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numba
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -11,7 +12,8 @@ from numpy.typing import NDArray
 from closed_phases import Surface, grid_of, phase_map, seen_points, small_rig, visible
 from cv_lens import cv_project
 from fringe3d.correspond import TwoViews, choose_orders, confirm_orders, match_near_sheets
-from fringe3d.model import Correspondences, Rejection, Rig
+from fringe3d.model import Correspondences, PointMap, Rejection, Rig
+from fringe3d.triangulate import triangulate
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 
@@ -34,7 +36,7 @@ def test_a_confirmed_order_is_the_one_that_would_be_chosen() -> None:
     assert rig.projector is not None
     assert rig.volume is not None
     chosen = choose_orders(views, rig.projector, rig.volume)
-    found = confirm_orders(views, rig.projector, rig.volume, bias=chosen.bias)
+    found = confirm_orders(views, rig.projector, rig.volume, bias=chosen.bias, plain=True)
     same = found.rejection == chosen.phases.rejection
     assert same.mean() > 0.999
     both = (found.rejection == 0) & (chosen.phases.rejection == 0)
@@ -98,3 +100,53 @@ def test_a_hole_in_c2_is_no_match_and_a_wide_window_may_hold_several() -> None:
     twice = searched(rig, 8.0)
     lit = everywhere.rejection == 0
     assert (twice.rejection[lit] == Rejection.AMBIGUOUS).mean() > 0.5
+
+
+def located(views: TwoViews, rig: Rig, *, plain: bool) -> tuple[Correspondences, PointMap]:
+    """Return matches and points of a full code, by the one pass or one pixel at a time."""
+    assert rig.projector is not None
+    assert rig.volume is not None
+    c1, c2 = rig.cameras
+    confirmed = confirm_orders(views, rig.projector, rig.volume, plain=plain)
+    matches = match_near_sheets(
+        views.phases1, views.phases2, c1, c2, rig.projector, rig.volume, confirmed.half_px,
+        rejection=confirmed.rejection, located=confirmed.located,
+    )  # fmt: skip
+    at_once = confirmed.located
+    known = None if at_once is None else (at_once.met, at_once.todo)
+    if at_once is not None:
+        assert at_once.todo.sum() < 0.4 * (matches.rejection == 0).sum()
+    return matches, triangulate(matches, c1, c2, volume=rig.volume, known=known)
+
+
+@pytest.mark.parametrize("holes", [False, True])
+def test_one_pass_finds_what_is_found_one_pixel_at_a_time(holes: bool) -> None:
+    rig = small_rig(projector_azimuth_deg=-18.0)
+    views = views_of(rig)
+    if holes:  # single pixels and the border of a hole need the long way
+        lost = np.random.default_rng(2).random(rig.cameras[1].shape) < 0.02
+        lost[40:80, 60:100] = True
+        bits = lost.astype(np.uint16) * np.uint16(Rejection.LOW_MODULATION)
+        views = replace(views, phases2=views.phases2.rejecting(bits))
+    plain, points = located(views, rig, plain=True)
+    found, at_once = located(views, rig, plain=False)
+    np.testing.assert_array_equal(found.rejection, plain.rejection)
+    np.testing.assert_array_equal(at_once.rejection, points.rejection)
+    good = points.is_valid
+    assert good.mean() > 0.3
+    # The last step is linear: it errs by far less than the noise, 0.03 px.
+    np.testing.assert_allclose(found.pixels[good], plain.pixels[good], atol=1e-3)
+    np.testing.assert_allclose(found.sigma_px[good], plain.sigma_px[good], rtol=0.02)
+    apart = np.linalg.norm(at_once.points_mm - points.points_mm, axis=-1)[good]
+    assert (apart < 0.02 * points.sigma_mm[good]).all()
+    np.testing.assert_allclose(at_once.sigma_mm[good], points.sigma_mm[good], rtol=0.02)
+
+
+def test_two_threads_find_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    rig = small_rig(projector_azimuth_deg=-18.0)
+    views = views_of(rig)
+    alone = located(views, rig, plain=False)[1]
+    monkeypatch.setattr(numba, "get_num_threads", lambda: 2)
+    together = located(views, rig, plain=False)[1]
+    np.testing.assert_array_equal(together.points_mm, alone.points_mm)
+    np.testing.assert_array_equal(together.sigma_mm, alone.sigma_mm)

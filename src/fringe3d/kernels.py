@@ -1,13 +1,17 @@
-"""Machine code of the compiled functions: told of when it is made, forgotten when it is stale."""
+"""Machine code of the compiled functions: told of when it is made, forgotten when it is stale, and
+run by several threads."""
 
 from __future__ import annotations
 
 import hashlib
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
+from functools import cache
 from pathlib import Path
+from threading import Lock
 from typing import Any
 
 STAMP = "kernels.sha256"
@@ -16,6 +20,9 @@ CONSTANTS = "model"
 """Folder of the constants that are compiled into code."""
 
 COMPILING = "compiling, once after installation or an update: about half a minute"
+
+PARTS, LEAST_ROWS = 8, 16
+"""Parts of an image for each thread, which so end nearly together, and rows of the least part."""
 
 OWN_FOLDER = "NUMBA_CACHE_DIR"
 """Environment variable by which Numba keeps its code elsewhere."""
@@ -77,6 +84,49 @@ def _cache_of(folder: Path, root: Path | None) -> Path:
 
 def _code_in(folder: Path) -> Iterator[Path]:
     yield from folder.glob("*.nb[ci]")
+
+
+def over_rows(kernel: Callable[..., object], n_rows: int, /, *args: object) -> None:
+    """Run a compiled function over all rows, parts of them in threads of their own.
+
+    Threads that compiled code starts itself (``parallel=True``) make it compile five times as long,
+    and wait for each other at each end of a loop.
+
+    Parameters
+    ----------
+    kernel : compiled function that releases the interpreter; takes `args` and, last, (first row,
+        last row but one); what it writes to a row depends on no other row
+    n_rows : int
+    args : of the function
+    """
+    from numba import get_num_threads
+
+    n_threads = get_num_threads()
+    step = max(LEAST_ROWS, -(-n_rows // (PARTS * n_threads)))
+    if n_threads == 1 or n_rows <= step:
+        kernel(*args, (0, n_rows))
+        return
+    parts = [(first, min(first + step, n_rows)) for first in range(0, n_rows, step)]
+    waiting = iter(parts)
+    lock = Lock()
+
+    def work() -> None:
+        while True:
+            with lock:
+                part = next(waiting, None)
+            if part is None:
+                return
+            kernel(*args, part)
+
+    others = [_threads().submit(work) for _ in range(n_threads - 1)]
+    work()
+    for other in others:
+        other.result()
+
+
+@cache
+def _threads() -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(os.cpu_count(), thread_name_prefix="fringe3d")
 
 
 def tell_of_compiling(package: str = "fringe3d", /) -> None:

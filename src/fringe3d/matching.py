@@ -9,11 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fringe3d.correspond import (
+    Located,
     TwoViews,
     Witnesses,
     choose_orders,
     confirm_orders,
     fringe_crossing,
+    locate,
     match_both_directions,
     match_cameras,
     match_near_sheets,
@@ -24,6 +26,7 @@ from fringe3d.decode import CameraPhases, has_mirrored_neighbours
 from fringe3d.design.gray import BEYOND
 from fringe3d.errors import MethodError
 from fringe3d.geometry import project
+from fringe3d.geometry.meeting import Met
 from fringe3d.health import Finding, check_trinocular, check_twins
 from fringe3d.model import (
     NO_ORDER,
@@ -67,12 +70,19 @@ class Matched:
     rival_shift : int; periods between the orders taken and those of the best other solution that
         the images leave possible; 0 where there is none
     findings : tuple of Finding; what the search itself gave reason to say
+    located : Located or None; points that were found on the way
     """
 
     matches: Correspondences
     bias: CalibrationBias | None = None
     rival_shift: int = 0
     findings: tuple[Finding, ...] = ()
+    located: Located | None = None
+
+    @property
+    def known(self) -> tuple[Met, NDArray[np.bool_]] | None:
+        """Return the points that are known, and the pixels that are left."""
+        return None if self.located is None else (self.located.met, self.located.todo)
 
 
 def best_direction_first(
@@ -235,9 +245,9 @@ def _match_three(
         confirmed = confirm_orders(views, projector, volume, bias=bias)
         matches = match_near_sheets(
             views.phases1, views.phases2, views.camera1, views.camera2, projector, volume,
-            confirmed.half_px, rejection=confirmed.rejection,
+            confirmed.half_px, rejection=confirmed.rejection, located=confirmed.located,
         )  # fmt: skip
-        return Matched(matches, confirmed.bias)
+        return Matched(matches, confirmed.bias, located=confirmed.located)
     least = options.min_order_probability
     if least is None:
         least = STRICT_PROBABILITY if options.strict else MIN_PROBABILITY
@@ -252,9 +262,11 @@ def _match_three(
         together=method != "m3",
         strict=options.strict,
     )
+    views = replace(views, phases1=chosen.phases)
+    located = locate(views, projector, volume, half_px=chosen.half_px)
     matches = match_near_sheets(
         chosen.phases, views.phases2, views.camera1, views.camera2, projector, volume,
-        chosen.half_px,
+        chosen.half_px, rejection=located.met.rejection, located=located,
     )  # fmt: skip
     matches = place_lost(matches, chosen, views.camera1, views.camera2, projector)
     good = matches.rejection == 0
@@ -263,7 +275,7 @@ def _match_three(
         fringe_order=np.where(good, chosen.phases.order_class, NO_ORDER),
         order_probability=np.where(good, chosen.probability, np.nan),
     )
-    return Matched(matches, chosen.bias, chosen.rival_shift)
+    return Matched(matches, chosen.bias, chosen.rival_shift, located=located)
 
 
 def _turns_of(

@@ -182,8 +182,9 @@ def measure(
             findings += check_twins(twin_share(main, camera, other, volume))
     with clock("triangulating"):
         points = triangulate(
-            matches, camera, other, volume=volume, max_epipolar_px=_epipolar_limit(matches)
-        )
+            matches, camera, other, volume=volume, max_epipolar_px=_epipolar_limit(matches),
+            known=matched.known,
+        )  # fmt: skip
     with clock("checking"):
         findings += check_epipolar(matches) + check_yield(points)
         if other.role == "camera":

@@ -12,7 +12,7 @@ from scipy import ndimage
 
 from fringe3d.geometry import closest_depths, pixel_grid, project, rays
 from fringe3d.geometry.components import patch_sizes
-from fringe3d.geometry.meeting import meet
+from fringe3d.geometry.meeting import Met, meet
 from fringe3d.model import Correspondences, Device, MeasuringVolume, PointMap, Rejection
 from fringe3d.model.rejection import reject
 
@@ -35,6 +35,7 @@ def triangulate(
     *,
     volume: MeasuringVolume | None = None,
     max_epipolar_px: float | None = None,
+    known: tuple[Met, NDArray[np.bool_]] | None = None,
     plain: bool = False,
 ) -> PointMap:
     """Intersect the viewing rays of homologous points.
@@ -49,6 +50,8 @@ def triangulate(
     volume : MeasuringVolume or None; points outside are rejected as OUTSIDE_VOLUME
     max_epipolar_px : float or None, px; larger distances of the point in the other device from
         the epipolar curve are rejected as RAYS_MISS
+    known : (Met, (row, col) bool) or None; points that are known and not computed again, and the
+        pixels that are left; the others are added to it
     plain : bool; compute with NumPy alone: slow, and the same within rounding. For comparison.
 
     Returns
@@ -62,8 +65,11 @@ def triangulate(
     if plain:
         return _triangulate_plainly(matches, camera, other, volume, max_epipolar_px)
     limit = inf if max_epipolar_px is None else max_epipolar_px
+    met, todo = known or (None, None)
+    if met is not None:
+        met.rejection[todo] = matches.rejection[todo]
     met = meet(matches, camera, other, volume, max_epipolar_px=limit,
-               max_sigma_part=MAX_SIGMA_OF_DEPTH)  # fmt: skip
+               max_sigma_part=MAX_SIGMA_OF_DEPTH, met=met, todo=todo)  # fmt: skip
     return PointMap(**met._asdict())
 
 

@@ -3,6 +3,7 @@
 from fringe3d.correspond.both_directions import match_both_directions
 from fringe3d.correspond.candidates import FIT_SIGMA, ChosenOrders, choose_orders
 from fringe3d.correspond.curves import keep_curves, ray_curves
+from fringe3d.correspond.direct import Located, locate
 from fringe3d.correspond.near import match_near_sheets
 from fringe3d.correspond.placement import place_lost
 from fringe3d.correspond.projector import (
@@ -23,6 +24,7 @@ __all__ = [
     "FIT_SIGMA",
     "GUARD_PX",
     "ChosenOrders",
+    "Located",
     "Rivals",
     "Task",
     "TwoViews",
@@ -33,6 +35,7 @@ __all__ = [
     "fringe_crossing",
     "guard_px",
     "keep_curves",
+    "locate",
     "match_both_directions",
     "match_cameras",
     "match_near_sheets",

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
 from fringe3d.correspond._curves import DEPTH_STEP, across, sheet_depth, turned
 from fringe3d.correspond._phase import (
@@ -117,24 +117,26 @@ def _found(t, line, bounds, phi1, lens2, phase2, none):  # type: ignore[no-untyp
     return x, y, rise * n / length, 0
 
 
-@njit(cache=True, parallel=True, nogil=True, error_model="numpy")
-def search_near(first, half, rays, intervals, projector, camera2, second, none, maps):  # type: ignore[no-untyped-def]
+@njit(cache=True, nogil=True, error_model="numpy")
+def search_near(first, half, rays, intervals, projector, camera2, second, none, todo, maps, rows):  # type: ignore[no-untyped-def]
     """Find the point with the phase of each pixel near the light sheet of its order.
 
     first = (phase, order, sigma (row, col), period px) of C1; half (row, col): px around the sheet;
     rays (row, col, 3): directions in the world; intervals (row, col, 4): mm, where they enter and
     leave the volume, and the part of it that C2 sees; projector = (base (3,), rotation (3, 3),
     lens, axis (2,)), camera2 = (base, rotation, lens): base is the centre of C1 there; second =
-    (phase, sigma) of C2; none: two empty maps, of orders and of another direction. maps = (pixels
-    (row, col, 2), sigma (row, col), px, written, NaN where nothing is found, rejection, to which
-    reasons are added).
+    (phase, sigma) of C2; none: two empty maps, of orders and of another direction; todo (row, col):
+    the pixels that are asked for. maps = (pixels (row, col, 2), sigma (row, col), px, written, NaN
+    where nothing is found, rejection, to which reasons are added); rows: first and last but one.
     """
     phase1, order1, sigma1, period = first
     phase2, sigma2 = second
     base2, rotation2, lens2 = camera2
     pixels, sigma_px, rejection = maps
-    for row in prange(phase1.shape[0]):
+    for row in range(rows[0], rows[1]):
         for col in range(phase1.shape[1]):
+            if not todo[row, col]:
+                continue
             pixels[row, col, :], sigma_px[row, col] = np.nan, np.nan
             if rejection[row, col] != 0:
                 continue

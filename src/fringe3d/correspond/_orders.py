@@ -138,8 +138,8 @@ def list_candidates(  # type: ignore[no-untyped-def]
 
     where, class1 (n,): number of the pixel in the image, and its class of orders; ranges = two
     (n, 2): as `find_range` writes them; label_step: orders between the columns of what is written;
-    tables = (curves (pixel, N_CURVE), see `_curves`, rays (pixel, 3), rotations from the world to
-    projector and C2). task = (projector, camera2, period, first, others): devices as
+    tables = (curves (row, N_CURVE, col), see `_curves`, rays (pixel, 3), rotations from the world
+    to projector and C2). task = (projector, camera2, period, first, others): devices as
     `_curves.trace` takes them; first = (phase1 (n,), sigma1 (n,), phase2, sigma2, class2 (maps),
     class_of_order, first_order); others = (phases, sigmas (q, n), axes (q, 2), periods,
     calibrations (q,) px) of other fringes, empty for none.
@@ -152,7 +152,8 @@ def list_candidates(  # type: ignore[no-untyped-def]
     found, inside = ranges
     phase1, sigma1, phase2, sigma2, class2, class_of_order, first_order = first
     for i in prange(len(class1)):
-        turns, curve = phase1[i] / TWO_PI, curves[where[i]]
+        turns, row = phase1[i] / TWO_PI, where[i] // curves.shape[2]
+        curve = curves[row, :, where[i] - row * curves.shape[2]]
         is_curve = not math.isnan(curve[0])
         orders[i], shown[i], extras[i], is_inside[i] = NO_ORDER, np.nan, 0.0, False
         for place in range((found[i, 1] - found[i, 0]) // label_step + 1):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
 from fringe3d.correspond._curves import curve_point, exact_point, turned
 from fringe3d.correspond._orders import (
@@ -48,30 +48,32 @@ def _judged(shown, moved, scatter, limits):  # type: ignore[no-untyped-def]
     return fits, min(reach / max(abs(shown[RATIO]), least_ratio), 0.5)
 
 
-@njit(cache=True, parallel=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy")
 def confirm(  # type: ignore[no-untyped-def]
-    first, tables, projector, camera2, second, code, field, limits, rejection, half
+    first, tables, projector, camera2, second, code, field, limits, todo, rejection, half, rows
 ):
     """Reject the pixels whose order puts them outside the volume, or where C2 sees other phases.
 
     first = (phase, order, sigma (row, col), period, px) of C1; tables = (ends, curves, wide, inner,
-    rays (row, col, k), rotations from the world to projector and C2), see `curves.RayCurves`;
+    rays, rotations from the world to projector and C2), see `curves.RayCurves`;
     projector, camera2: as `_curves.trace` takes them; second = (phase, sigma, class of
     orders) of C2; code = (class_of_order, first_order, px for each rad of a phase's deviation, and
     px, by which a point may lie beyond); field = (coefficients, middle, scale, scatter, px) of the
-    bias; limits: see `_judged`. Adds reasons to rejection and writes half, px around the light
-    sheet in which C2 sees the point, NaN where there is none, (row, col).
+    bias; limits: see `_judged`; todo (row, col): the pixels that are asked for; rows:
+    first and last but one. Adds reasons to
+    rejection and writes half, px around the light sheet in which C2 sees the point, NaN where there
+    is none, (row, col).
     """
     phase1, order1, sigma1, period = first
     ends, curves, wide, inner, rays, rotation_p, rotation_2 = tables
     phase2, sigma2, class2 = second
     class_of_order, first_order, guard_per_rad, guard = code
     coefficients, middle, scale, scatter = field
-    for row in prange(phase1.shape[0]):
-        shown = np.empty(N_SHOWN, np.float32)
+    shown = np.empty(N_SHOWN, np.float32)
+    for row in range(rows[0], rows[1]):
         for col in range(phase1.shape[1]):
             half[row, col] = np.nan
-            if rejection[row, col] != 0:
+            if rejection[row, col] != 0 or not todo[row, col]:
                 continue
             if not ends[row, col, 0] < ends[row, col, 1]:
                 rejection[row, col] = OUTSIDE_VOLUME
@@ -82,7 +84,7 @@ def confirm(  # type: ignore[no-untyped-def]
             if not lowest <= order <= highest:
                 rejection[row, col] = NO_MATCH
                 continue
-            w, curve = (order + turns) * period, curves[row, col]
+            w, curve = (order + turns) * period, curves[row, :, col]
             if math.isnan(curve[0]):
                 ray = rays[row, col]
                 along_p, along_2 = turned(rotation_p, ray), turned(rotation_2, ray)

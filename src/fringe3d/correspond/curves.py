@@ -41,7 +41,7 @@ class RayCurves:
     ends : (row, col, 2) float32, mm; where the rays enter and leave the volume; not rising where
         they miss it
     depths_mm : (row, col, 2) float; in which surfaces are expected
-    curves : (row, col, `_curves.N_CURVE`) float32; see `_curves`
+    curves : (row, `_curves.N_CURVE`, col) float32; see `_curves`
     wide, inner : (row, col, 2) float32, projector px; least and largest w in which surfaces are
         expected, and inside the volume; NaN where there is none
     """
@@ -141,7 +141,7 @@ def _traced(
     sheets = (to_p.apply(origin), lens_of(projector), np.array([np.cos(angle), np.sin(angle)]))
     seen = (to_2.apply(origin), lens_of(camera2))
     shape = camera1.shape
-    curves = np.empty((*shape, _curves.N_CURVE), np.float32)
+    curves = np.empty((shape[0], _curves.N_CURVE, shape[1]), np.float32)
     wide, inner = (np.empty((*shape, 2), np.float32) for _ in range(2))
     for top in range(0, shape[0], ROWS_AT_ONCE):
         rows = slice(top, top + ROWS_AT_ONCE)
@@ -156,7 +156,8 @@ def _traced(
         spans = np.empty((2, len(own), 2))
         _curves.trace(far_ends, along_p, along_2, sheets, seen, found, spans[0])
         _curves.span_of(own, along_p, sheets, spans[1])
-        for table, values in ((curves, found), (wide, spans[0]), (inner, spans[1])):
+        curves[rows] = found.reshape(-1, shape[1], _curves.N_CURVE).swapaxes(1, 2)
+        for table, values in ((wide, spans[0]), (inner, spans[1])):
             table[rows] = values.reshape(table[rows].shape)
     for table in (curves, wide, inner):
         table.flags.writeable = False

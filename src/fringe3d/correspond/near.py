@@ -6,8 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fringe3d.correspond import _near
+from fringe3d.correspond.direct import Located
 from fringe3d.geometry import grid_intervals, grid_rays, pixel_centres
 from fringe3d.geometry.projection import lens_of
+from fringe3d.kernels import over_rows
 from fringe3d.model import NO_ORDER, Correspondences, Device, MeasuringVolume, PhaseMap
 
 NO_OTHERS = np.empty((0, 0), np.int32), np.empty((0, 0), np.float32)
@@ -25,6 +27,7 @@ def match_near_sheets(
     /,
     *,
     rejection: NDArray[np.uint16] | None = None,
+    located: Located | None = None,
 ) -> Correspondences:
     """Find in C2 the point with the phase of each pixel of C1, near the light sheet of its order.
 
@@ -41,6 +44,7 @@ def match_near_sheets(
     half_px : (row, col) float32, projector px; how far around its phase C2 sees the point
     rejection : (row, col) uint16 or None; pixels to leave out, if other than those of phases1;
         reasons are added to it
+    located : Located or None; what is known already, to which the points that are left are added
 
     Returns
     -------
@@ -56,9 +60,15 @@ def match_near_sheets(
     origin, directions = grid_rays(camera1)
     to_projector, to_c2 = projector.device_from_world, camera2.device_from_world
     angle = phases1.angle
-    pixels, sigma = np.empty((*shape, 2)), np.empty(shape, np.float32)
+    if located is None:
+        pixels, sigma = np.empty((*shape, 2)), np.empty(shape, np.float32)
+        todo = np.ones(shape, np.bool_)
+    else:
+        pixels, sigma, todo = located.pixels, located.sigma_px, located.todo
     rejection = phases1.rejection.copy() if rejection is None else rejection
-    _near.search_near(
+    over_rows(
+        _near.search_near,
+        shape[0],
         (phases1.phase, phases1.order_class, phases1.phase_std, phases1.period_px),
         half_px,
         directions,
@@ -68,6 +78,7 @@ def match_near_sheets(
         (to_c2.apply(origin), to_c2.rotation, lens_of(camera2)),
         (phases2.phase, phases2.phase_std),
         NO_OTHERS,
+        todo,
         (pixels, sigma, rejection),
     )  # fmt: skip
     return Correspondences(
@@ -75,7 +86,7 @@ def match_near_sheets(
         pixels_c1=pixel_centres(shape),
         pixels=pixels,
         sigma_px=sigma,
-        epipolar_residual_px=np.full(shape, np.nan, np.float32),
+        epipolar_residual_px=np.broadcast_to(np.float32(np.nan), shape),
         fringe_order=np.where(rejection == 0, phases1.order_class, np.int32(NO_ORDER)),
         rejection=rejection,
     )

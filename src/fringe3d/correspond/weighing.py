@@ -217,10 +217,9 @@ class Task:
             is_inside=np.empty(shape, np.bool_),
         )
         task = (self.projector, self.camera2, phases1.period_px, self.first, self._others())
-        curves = tables.curves.reshape(-1, tables.curves.shape[-1])
         _orders.list_candidates(
             self.where, classes, (found, inside), label_step,
-            (curves, self._directions.reshape(-1, 3), *self._rotations), task,
+            (tables.curves, self._directions.reshape(-1, 3), *self._rotations), task,
             listed.orders, listed.shown, listed.extras, listed.is_inside,
         )  # fmt: skip
         return listed

@@ -12,7 +12,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import NDArray
 
 from fringe3d.decode._stream import PLAIN_MEMORY, finish_stores, stream
@@ -23,9 +23,6 @@ f4, i4, u2 = np.float32, np.int32, np.uint16
 TILE = 1024
 """Pixels at once: their scratch stays in the first two caches, and each image is read in stretches
 long enough to be foreseen."""
-
-TILES_AT_ONCE = 16
-"""Tiles that share one scratch and go to one thread."""
 
 TOGETHER = 4
 """Images that one sweep adds up; lists of steps are filled up to it with weights of zero."""
@@ -323,18 +320,15 @@ def _decode_tiles(images, steps, numbers, code, maps, n_corrected, first, last, 
     finish_stores()  # type: ignore[call-arg]
 
 
-@njit(cache=True, parallel=True)
-def decode_pixels(images, steps, numbers, code, maps, n_corrected):  # type: ignore[no-untyped-def]
+@njit(cache=True, nogil=True)
+def decode_pixels(images, steps, numbers, code, maps, n_corrected, tiles):  # type: ignore[no-untyped-def]
     """Fill the maps from the images (pattern, pixel), uint8 or uint16.
 
-    `n_corrected` (tile,) are orders that the word alone would not give.
+    `n_corrected` (tile,) are orders that the word alone would not give; tiles: first and last but
+    one of those to go through.
     """
-    n_tiles = (images.shape[1] + TILE - 1) // TILE
-    for block in prange((n_tiles + TILES_AT_ONCE - 1) // TILES_AT_ONCE):
-        first = np.int64(block) * TILES_AT_ONCE
-        last = min(first + TILES_AT_ONCE, n_tiles)
-        scratch = (
-            np.empty(N_SCRATCH, f4), np.empty((3, TILE), images.dtype),
-            np.empty(TILE, u2), np.empty(TILE, u2), np.empty(TILE, i4),
-        )  # fmt: skip
-        _decode_tiles(images, steps, numbers, code, maps, n_corrected, first, last, scratch)
+    scratch = (
+        np.empty(N_SCRATCH, f4), np.empty((3, TILE), images.dtype),
+        np.empty(TILE, u2), np.empty(TILE, u2), np.empty(TILE, i4),
+    )  # fmt: skip
+    _decode_tiles(images, steps, numbers, code, maps, n_corrected, tiles[0], tiles[1], scratch)

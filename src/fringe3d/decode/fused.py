@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from fringe3d.decode import _fused, _mend
 from fringe3d.decode.fit import MAX_PHASE_STD, FringeFit, fringe_fit, wrapped_map
 from fringe3d.decode.order import CLEAR_BIT, OrderClasses, OrderTable
+from fringe3d.kernels import over_rows
 from fringe3d.model import NO_ORDER, ImageStack, PhaseMap, Rejection, WrappedPhaseMap
 from fringe3d.model.phasemap import deferred
 from fringe3d.model.plan import FringeSet, GraySet
@@ -124,7 +125,9 @@ def fill(
     images = np.ascontiguousarray(stack.images).reshape(len(stack.images), -1)
     images.setflags(write=False)
     n_corrected = np.zeros(-(-images.shape[1] // _fused.TILE), np.int64)
-    _fused.decode_pixels(
+    over_rows(
+        _fused.decode_pixels,
+        len(n_corrected),
         images,
         _steps(fringe_set, fit),
         _numbers(stack, fit, _fused.ZERO if numbering is None else _fused.TWO_PI),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
 from fringe3d.geometry._lens import normalize_pixel, project_normalized
 from fringe3d.model import Rejection
@@ -91,22 +91,27 @@ def _middle(o1, a, o2, b):  # type: ignore[no-untyped-def]
     return point, math.sqrt(_dot(way, way)), t, t2
 
 
-@njit(cache=True, parallel=True, nogil=True, error_model="numpy")
-def meet_all(pixels1, pixels2, sigma_px, residual, rays1, devices, volume, limits, maps):  # type: ignore[no-untyped-def]
+@njit(cache=True, nogil=True, error_model="numpy")
+def meet_all(  # type: ignore[no-untyped-def]
+    pixels1, pixels2, sigma_px, residual, rays1, devices, volume, limits, todo, maps, rows
+):
     """Write the middle of the shortest line between two rays for each pixel that is not rejected.
 
     pixels1, pixels2 (row, col, 2), sigma_px, residual (row, col), px; rays1 (row, col, 3):
     directions of the rays of whole pixels, (0, 0, 3) if not known; devices = two of (origin (3,),
     rotation from the world (3, 3), lens, radius in which it does not fold); volume = (normals
-    (m, 3), offsets (m,)); limits = largest residual, px, and sigma, part of the depth. maps =
-    (points (row, col, 3), sigma, skew (row, col), mm, all written, NaN where there is no point,
-    rejection, to which reasons are added).
+    (m, 3), offsets (m,)); limits = largest residual, px, and sigma, part of the depth; todo (row,
+    col): the pixels that are asked for; rows: first and last but one. maps = (points (row, col, 3),
+    sigma, skew (row, col), mm, all written, NaN where there is no point, rejection, to which
+    reasons are added).
     """
     device1, device2 = devices
     points, sigma, skew, rejection = maps
     n_cols = rejection.shape[1]
-    for row in prange(rejection.shape[0]):
+    for row in range(rows[0], rows[1]):
         for col in range(n_cols):
+            if not todo[row, col]:
+                continue
             reason = rejection[row, col]
             if reason == 0:
                 x, y = pixels1[row, col, 0], pixels1[row, col, 1]

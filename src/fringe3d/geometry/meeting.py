@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from fringe3d.geometry._lens import safe_radius
 from fringe3d.geometry._meeting import meet_all
 from fringe3d.geometry.projection import grid_rays, lens_of, readable
+from fringe3d.kernels import over_rows
 from fringe3d.model import Correspondences, Device, MeasuringVolume
 
 
@@ -32,6 +33,8 @@ def meet(
     *,
     max_epipolar_px: float,
     max_sigma_part: float,
+    met: Met | None = None,
+    todo: NDArray[np.bool_] | None = None,
 ) -> Met:
     """Intersect the viewing rays of homologous points; see `fringe3d.triangulate.triangulate`.
 
@@ -42,6 +45,8 @@ def meet(
     volume : MeasuringVolume or None
     max_epipolar_px : float, px; may be infinite
     max_sigma_part : float; largest standard deviation, part of the depth
+    met : Met or None; points that are known, to which the others are added
+    todo : (row, col) bool or None; the pixels that are left; None for all
     """
     shape = matches.rejection.shape
     whole = shape == camera.shape
@@ -49,7 +54,7 @@ def meet(
     bounds = (np.empty((0, 3)), np.empty(0))
     if volume is not None:
         bounds = (np.ascontiguousarray(volume.normals), volume.offsets_mm)
-    met = Met(
+    met = met or Met(
         points_mm=np.empty((*shape, 3)),
         sigma_mm=np.empty(shape, np.float32),
         skew_mm=np.empty(shape, np.float32),
@@ -59,9 +64,11 @@ def meet(
         readable(a) for a in (matches.pixels_c1, matches.pixels, matches.sigma_px,
                                matches.epipolar_residual_px, directions)
     )  # fmt: skip
-    meet_all(
-        pixels1, pixels2, sigma, residual, rays1, (_numbers(camera), _numbers(other)),
-        tuple(readable(a) for a in bounds), (max_epipolar_px, max_sigma_part), tuple(met),
+    over_rows(
+        meet_all, shape[0], pixels1, pixels2, sigma, residual, rays1,
+        (_numbers(camera), _numbers(other)),
+        tuple(readable(a) for a in bounds), (max_epipolar_px, max_sigma_part),
+        np.ones(shape, np.bool_) if todo is None else todo, tuple(met),
     )  # fmt: skip
     return met
 
