@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from fringe3d.correspond import _around
 from fringe3d.correspond.bias import Frame
-from fringe3d.correspond.choice import Choice
+from fringe3d.correspond.choice import Choice, Placed
 from fringe3d.correspond.weighing import CLEAR, TWO_PI, Task, TwoViews
 from fringe3d.geometry import project, rays, sheet_crossing
 from fringe3d.model import NO_ORDER, CalibrationBias, Device
@@ -38,7 +38,7 @@ def swapped(views: TwoViews, /) -> TwoViews:
 
 
 def swapped_bias(
-    bias: CalibrationBias, task: Task, chosen: Choice, projector: Device, frame: Frame
+    bias: CalibrationBias, task: Task, chosen: Placed, projector: Device, frame: Frame
 ) -> CalibrationBias:
     """Return the same bias as C2 and the projector see it in C1, around the chosen points.
 
@@ -60,7 +60,7 @@ def swapped_bias(
     return frame.bias(coefficients.ravel(), scatter_px=bias.scatter_px)
 
 
-def _places(task: Task, chosen: Choice) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _places(task: Task, chosen: Placed) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return pixels (n, 2) and depths (n,), mm, at chosen points and a little around them."""
     known = np.flatnonzero(chosen.order != NO_ORDER)
     index = known[:: max(1, len(known) // BIAS_SAMPLE)]

@@ -7,14 +7,17 @@ whether a second fringe direction tells them apart.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fringe3d.correspond._clear import DECIDED, NOTHING, OPEN, OUTSIDE
 from fringe3d.correspond._orders import DIFFERENCE, RATIO
 from fringe3d.correspond.both_ways import agrees_with_c2, swapped, swapped_bias
 from fringe3d.correspond.choice import Choice
+from fringe3d.correspond.clear import choose_clearly, is_regular
+from fringe3d.correspond.direct import Judging
 from fringe3d.correspond.solving import (
     DOUBT,
     coarse_stride,
@@ -96,6 +99,7 @@ def choose_orders(
     fit_sigma: float = FIT_SIGMA,
     together: bool = True,
     strict: bool = False,
+    plain: bool = False,
 ) -> ChosenOrders:
     """Choose the fringe order of each pixel of C1.
 
@@ -122,6 +126,8 @@ def choose_orders(
         which the absolute phase is continuous; otherwise each pixel decides alone
     strict : bool; C2, asked in its turn, must be certain of the same order. In a `search`, what
         `fringe3d.correspond.strictness.doubtful` tells is rejected, too
+    plain : bool; weigh the candidates of all pixels, also where hardly one fits but one: slow, and
+        nearly the same. For comparison
 
     Returns
     -------
@@ -134,6 +140,15 @@ def choose_orders(
     c the calibration's error in C2, px, and m = 0.0015.
     """
     witnesses, is_known, rival = witnesses or Witnesses(), bias is not None, None
+    is_alone = (
+        not witnesses.cameras
+        and witnesses.previous_turns is None
+        and views.second is None
+        and not views.periods1
+    )
+    has_code = is_regular(views.phases1) and (bias is None or bias.covariance_px2 is None)
+    if has_code and is_alone and together and not (search or strict or plain):
+        return _clearly(views, projector, volume, bias, min_probability, fit_sigma)
     task = Task(views, projector, volume, fit_sigma**2, together)
     panel = ask(task, witnesses, projector, volume)
     if search:
@@ -176,6 +191,51 @@ def choose_orders(
     return replace(found, rival_shift=rival.shift() if rival is not None else 0)
 
 
+def _clearly(
+    views: TwoViews,
+    projector: Device,
+    volume: MeasuringVolume,
+    bias: CalibrationBias | None,
+    min_probability: float,
+    fit_sigma: float,
+) -> ChosenOrders:
+    """Do what `choose_orders` does with a code, most pixels at once; see `clear`."""
+    coarse = _coarse_task(views, projector, volume, fit_sigma, True)
+    bias = bias or learnt_from(coarse, coarse.decide(nothing_known(coarse)))
+    judging = Judging(bias, fit_sigma**2, SEARCH_TURNS, LEAST_RATIO)
+    found, task, chosen, agrees = choose_clearly(
+        views, projector, volume, bias, coarse, judging=judging
+    )
+    chosen = replace(chosen, outside=np.ones(len(task.pixels)))
+    misses = ~(coarse.tables.ends[..., 0] < coarse.tables.ends[..., 1])
+    is_inside = found.state == DECIDED
+    rejection = np.zeros(agrees.shape, np.uint16)
+    reject(rejection, (found.state == OUTSIDE) | ((found.state == NOTHING) & misses),
+           Rejection.OUTSIDE_VOLUME)  # fmt: skip
+    reject(rejection, ((found.state == NOTHING) & ~misses) | (is_inside & ~agrees),
+           Rejection.NO_MATCH)  # fmt: skip
+    order = np.where(is_inside, found.order, np.int32(NO_ORDER))
+    probability = np.where(is_inside, np.float32(1), np.float32(np.nan))
+    is_open = found.state.ravel()[task.where] == OPEN
+    where, weighed = task.where[is_open], _found(task, chosen, bias)
+    own = _rejection(task, chosen, agrees.ravel()[task.where], min_probability)
+    rejection.ravel()[where] = own.ravel()[where]
+    order.ravel()[where] = chosen.order[is_open]
+    probability.ravel()[where] = chosen.probability[is_open]
+    found.half_px.ravel()[where] = weighed.half[is_open]
+    found.place_px.ravel()[where] = weighed.place[is_open]
+    found.place_sigma_px.ravel()[where] = weighed.place_sigma[is_open]
+    phases = replace(
+        views.phases1, order_class=order, class_of_order=_all_orders(views.phases1)
+    ).rejecting(rejection)
+    nothing = np.broadcast_to(np.float32(np.nan), order.shape)
+    probability[phases.rejection != 0] = np.nan
+    return ChosenOrders(
+        phases=phases, probability=probability, half_px=found.half_px, place_px=found.place_px,
+        place_sigma_px=found.place_sigma_px, residual=nothing, sigma=nothing, bias=bias,
+    )  # fmt: skip
+
+
 def _confirmed(
     task: Task,
     chosen: Choice,
@@ -212,12 +272,23 @@ def learnt_coarsely(
     refine a known one."""
     if known is not None and known.covariance_px2 is None:
         return known
-    phases1 = views.phases1
-    stride = ABSOLUTE_STRIDE if phases1.is_absolute else coarse_stride(phases1.phase)
-    coarse = Task(views, projector, volume, fit_sigma**2, together, stride)
+    coarse = _coarse_task(views, projector, volume, fit_sigma, together)
     if known is not None:
         return refined(coarse, known)
     return learnt_from(coarse, coarse.decide(nothing_known(coarse)))
+
+
+def _coarse_task(
+    views: TwoViews,
+    projector: Device,
+    volume: MeasuringVolume,
+    fit_sigma: float,
+    together: bool,
+) -> Task:
+    """Return the task of a part of the pixels, along which the phase can be continued."""
+    phases1 = views.phases1
+    stride = ABSOLUTE_STRIDE if phases1.is_absolute else coarse_stride(phases1.phase)
+    return Task(views, projector, volume, fit_sigma**2, together, stride)
 
 
 def _rejection(
@@ -239,16 +310,17 @@ def _rejection(
     return rejection
 
 
-def _chosen(
-    task: Task, chosen: Choice, bias: CalibrationBias, rejection: NDArray[np.uint16]
-) -> ChosenOrders:
-    phases1, valid = task.views.phases1, task.valid
-    all_orders = np.arange(len(phases1.class_of_order), dtype=np.int32) + phases1.first_order
-    phases = replace(
-        phases1,
-        order_class=_spread(chosen.order, valid, fill=NO_ORDER),
-        class_of_order=all_orders,
-    ).rejecting(rejection)
+class _Found(NamedTuple):
+    """What is known of chosen candidates, (n,): as in `ChosenOrders`."""
+
+    half: NDArray[np.float32]
+    place: NDArray[np.float64]
+    place_sigma: NDArray[np.float64]
+    sigma: NDArray[np.float64]
+
+
+def _found(task: Task, chosen: Choice, bias: CalibrationBias) -> _Found:
+    period_px = task.views.phases1.period_px
     difference, ratio = chosen.shown[:, DIFFERENCE], chosen.shown[:, RATIO]
     # C2 may see the phase change many times as fast as the projector: a period there must do.
     expected, spread, sigma = task.expected(chosen, bias)
@@ -256,17 +328,40 @@ def _chosen(
     window = np.minimum(seen / np.maximum(np.abs(ratio), LEAST_RATIO), 0.5)
     rate = np.where(np.abs(ratio) > LEAST_PLACING_RATIO, ratio, np.nan)
     noise = task.first[1] / TWO_PI
+    return _Found(
+        half=(window * period_px).astype(np.float32),
+        place=-expected / rate * period_px,
+        place_sigma=np.hypot(noise, spread / rate) * period_px,
+        sigma=sigma,
+    )
+
+
+def _all_orders(phases: PhaseMap) -> NDArray[np.int32]:
+    """Return the classes of a full code: each order is its own."""
+    return np.arange(len(phases.class_of_order), dtype=np.int32) + np.int32(phases.first_order)
+
+
+def _chosen(
+    task: Task, chosen: Choice, bias: CalibrationBias, rejection: NDArray[np.uint16]
+) -> ChosenOrders:
+    phases1, valid = task.views.phases1, task.valid
+    phases = replace(
+        phases1,
+        order_class=_spread(chosen.order, valid, fill=NO_ORDER),
+        class_of_order=_all_orders(phases1),
+    ).rejecting(rejection)
+    found = _found(task, chosen, bias)
     probability, residual, sigma, place, place_sigma = (
         np.where(phases.rejection == 0, _spread(values, valid, fill=np.nan), np.nan)
-        for values in (chosen.probability, difference, sigma, -expected / rate,
-                       np.hypot(noise, spread / rate))
+        for values in (chosen.probability, chosen.shown[:, DIFFERENCE], found.sigma, found.place,
+                       found.place_sigma)
     )  # fmt: skip
     return ChosenOrders(
         phases=phases,
         probability=probability.astype(np.float32),
-        half_px=_spread((window * phases1.period_px).astype(np.float32), valid, fill=np.nan),
-        place_px=(place * phases1.period_px).astype(np.float32),
-        place_sigma_px=(place_sigma * phases1.period_px).astype(np.float32),
+        half_px=_spread(found.half, valid, fill=np.nan),
+        place_px=place.astype(np.float32),
+        place_sigma_px=place_sigma.astype(np.float32),
         residual=residual.astype(np.float32),
         sigma=sigma.astype(np.float32),
         bias=bias,

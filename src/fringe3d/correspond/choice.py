@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,6 +33,18 @@ class Candidates:
         """Return at which place the pixels `index` list given orders, and whether they do."""
         hits = self.orders[index] == orders[:, None]
         return hits.argmax(axis=1), hits.any(axis=1)
+
+
+class Placed(Protocol):
+    """Chosen orders, (n,), and the depths of their points, mm."""
+
+    @property
+    def order(self) -> NDArray[np.int32]:
+        """Return the orders, `NO_ORDER` for none."""
+
+    @property
+    def depth_mm(self) -> NDArray[np.float64]:
+        """Return the distances along the rays."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -101,13 +101,13 @@ def locate(
         (*to_2.apply(origin), *to_2.rotation.ravel(), *lens_of(views.camera2)),
         (phases2.phase, phases2.phase_std, phases2.order_class),
         (f4(GUARD_SIGMA * phases1.period_px / TWO_PI), f4(GUARD_PX)),
-        *_numbers(judging),
+        *numbers_of_judging(judging),
         (pixels, sigma_px, *met, todo),
     )
     return Located(pixels, sigma_px, met, todo)
 
 
-def _numbers(judging: Judging | None) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+def numbers_of_judging(judging: Judging | None) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Return bias and limits as the pass takes them, in single precision."""
     if judging is None:
         return np.zeros(24, f4), np.zeros(6, f4)

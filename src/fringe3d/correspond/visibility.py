@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fringe3d.correspond import _light
-from fringe3d.correspond.choice import Choice
+from fringe3d.correspond.choice import Choice, Placed
 from fringe3d.correspond.occlusion import hidden_from
 from fringe3d.correspond.surfaces import surfaces
 from fringe3d.correspond.weighing import TWO_PI, Task
@@ -27,7 +27,7 @@ GAP_COLS = 8
 """Every eighth column tells how far apart pixels of C1 lie in the projector image."""
 
 
-def takes_foreign_light(task: Task, chosen: Choice, trusted: Bools, projector: Device, /) -> Bools:
+def takes_foreign_light(task: Task, chosen: Placed, trusted: Bools, projector: Device, /) -> Bools:
     """Tell which pixels belong to a surface that cannot be, as a larger one has its light.
 
     A surface of wrong order that both cameras agree on, for each sees there what is hidden from the
@@ -113,7 +113,7 @@ def _cells(light: NDArray[np.float64], task: Task, claims: Bools) -> tuple[NDArr
     return found[:, 1] * n_cols + found[:, 0], int(n_rows * n_cols)
 
 
-def _way_in_a_period(task: Task, chosen: Choice, projector: Device) -> float:
+def _way_in_a_period(task: Task, chosen: Placed, projector: Device) -> float:
     """Return how far a ray of C1 goes from one light sheet of its phase to the next, mm."""
     known = np.flatnonzero(chosen.order != NO_ORDER)
     index = known[:: max(1, len(known) // SAMPLE)]

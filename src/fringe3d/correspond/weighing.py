@@ -199,7 +199,7 @@ class Task:
 
     def _listed(self) -> Candidates:
         phases1, n, tables = self.views.phases1, len(self.where), self.tables
-        classes, label_step = self._of(phases1.order_class), _label_step(phases1)
+        classes, label_step = self._of(phases1.order_class), label_step_of(phases1)
         found, inside = np.empty((n, 2), np.int32), np.empty((n, 2), np.int32)
         spans = tables.wide.reshape(-1, 2), tables.inner.reshape(-1, 2)
         guard = GUARD_SIGMA * phases1.period_px / TWO_PI, GUARD_PX
@@ -227,6 +227,12 @@ class Task:
     def hear(self, costs: NDArray[np.float64]) -> None:
         """Add what other evidence has against the candidates, (n, m) squared deviations."""
         self.listed = replace(self.listed, extras=(self.listed.extras + costs).astype(np.float32))
+
+    def settle(self, orders: NDArray[np.int32]) -> None:
+        """Leave pixels whose order is settled, (n,), no other candidate; `NO_ORDER` for none."""
+        listed = self.listed.orders
+        other = (orders != NO_ORDER)[:, None] & (listed != orders[:, None])
+        self.listed = replace(self.listed, orders=np.where(other, np.int32(NO_ORDER), listed))
 
     def costs(
         self, bias: CalibrationBias, *, scatter_px: float | None = None
@@ -318,7 +324,7 @@ class Task:
         return jumps
 
 
-def _label_step(phases: PhaseMap) -> int:
+def label_step_of(phases: PhaseMap, /) -> int:
     """Return the number that divides the distances of all orders of the same class."""
     order = np.argsort(phases.class_of_order, kind="stable")
     names = phases.class_of_order[order]
