@@ -374,7 +374,7 @@ def test_candidates_are_weighed_as_the_formula_says(scatter: float) -> None:
     costs = np.empty((n, m), np.float32)
     root = scatter * rng.uniform(-1, 1, (9, 9))
     covariance = root @ root.T
-    weigh(shown, pixels, (coefficients, middle, scale, covariance), scatter, 1 / 12, costs)
+    weigh(shown, pixels, (coefficients, middle, scale, covariance), scatter, 1 / 12, costs, (0, n))
 
     u, v = ((pixels - middle[:2]) / scale[:2]).T[:, :, None]
     t = (depth - middle[2]) / scale[2]
@@ -396,7 +396,7 @@ def test_candidates_are_weighed_as_the_formula_says(scatter: float) -> None:
     for left_out in np.ndindex(2, 9):
         less = coefficients.copy()
         less[left_out] = 0
-        weigh(shown, pixels, (less, middle, scale, covariance), scatter, 1 / 12, costs)
+        weigh(shown, pixels, (less, middle, scale, covariance), scatter, 1 / 12, costs, (0, n))
         assert np.abs(costs[known] - expected[known]).max() > 1
 
 
@@ -410,7 +410,7 @@ def test_expected_residuals_are_the_bias_along_the_gradient() -> None:
     expected, spread, sigma = np.empty(n), np.empty(n), np.empty(n)
     root = rng.uniform(-0.05, 0.05, (9, 9))
     field = bias.coefficients_px, bias.middle, bias.scale, root @ root.T
-    expect(shown, pixels, field, 0.07, expected, spread, sigma)
+    expect(shown, pixels, field, 0.07, expected, spread, sigma, (0, n))
     gradient = shown[:, 2:4].astype(np.float64)
     moved = bias.displacement(pixels, shown[:, 0])
     np.testing.assert_allclose(expected, (gradient * moved).sum(axis=1), atol=1e-12)

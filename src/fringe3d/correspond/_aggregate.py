@@ -153,15 +153,15 @@ def _summed(totals, costs, energy):  # type: ignore[no-untyped-def]
             energy[i, a] = rest if known else FAR_ENERGY
 
 
-@njit(cache=True, parallel=True, error_model="numpy")
-def write_own_costs(costs, extras, is_label, largest, own):  # type: ignore[no-untyped-def]
+@njit(cache=True, nogil=True, error_model="numpy")
+def write_own_costs(costs, extras, is_label, largest, own, rows):  # type: ignore[no-untyped-def]
     """Write what each pixel alone has against its labels, in parts of `UNIT`, (n, padded(m)).
 
     costs, extras (n, m): squared deviations in C2, NaN where it sees nothing, and of all else;
     largest: of each and of both, and the price of what C2 does not see, half squared deviations.
     """
     most, most_extra, most_in_all, hidden = largest
-    for i in prange(len(own)):
+    for i in range(rows[0], rows[1]):
         own[i] = FAR
         for a in range(costs.shape[1]):
             if is_label[i, a]:
@@ -170,14 +170,14 @@ def write_own_costs(costs, extras, is_label, largest, own):  # type: ignore[no-u
                 own[i, a] = U16(min(UNIT * cost + 0.5, FAR - 1))
 
 
-@njit(cache=True, parallel=True, error_model="numpy")
-def choose(energy, is_label, is_inside, outside_cost, place, probability, outside):  # type: ignore[no-untyped-def]
+@njit(cache=True, nogil=True, error_model="numpy")
+def choose(energy, is_label, is_inside, outside_cost, place, probability, outside, rows):  # type: ignore[no-untyped-def]
     """Write the label of least energy, its probability, and that of all labels outside, (n,).
 
     energy (n, >= m): in parts of `UNIT`; outside_cost: what speaks against a label outside the
     volume; is_label, is_inside (n, m). NaN where there is no label.
     """
-    for i in prange(len(place)):
+    for i in range(rows[0], rows[1]):
         best, least = 0, 1e9
         for a in range(is_inside.shape[1]):
             value = energy[i, a] + (0 if is_inside[i, a] else outside_cost)

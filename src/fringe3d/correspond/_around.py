@@ -5,14 +5,14 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
 from fringe3d.correspond._curves import pixel, turned
 
 
-@njit(cache=True, parallel=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy")
 def count(  # type: ignore[no-untyped-def]
-    depths, rays, camera2, turns1, is_alone, decided2, apart, strict, n_certain, n_agree
+    depths, rays, camera2, turns1, is_alone, decided2, apart, strict, n_certain, n_agree, rows
 ):
     """Count the pixels of C2, of the nine around a point, that are certain, and that agree.
 
@@ -26,7 +26,7 @@ def count(  # type: ignore[no-untyped-def]
     where, directions, rotation = rays
     turns2, certain2 = decided2
     n_rows, n_cols = turns2.shape
-    for i in prange(len(depths)):
+    for i in range(rows[0], rows[1]):
         n_certain[i], n_agree[i] = 0, 0
         x, y = pixel(base, turned(rotation, directions[where[i]]), depths[i], lens)
         if math.isnan(x + y) or not (-2 < x < n_cols + 1 and -2 < y < n_rows + 1):

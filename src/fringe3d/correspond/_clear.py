@@ -63,8 +63,10 @@ NO_PHASE, NOTHING, DECIDED, OUTSIDE, OPEN = range(5)
 """No phase; no order that C2 sees; decided, in the volume or outside it; left to the neighbours."""
 
 CLASS, LOWEST, HIGHEST, N_FIT, N_OTHER, INSIDE, BEST = range(N_WORK, N_WORK + 7 * PART, PART)
-HALF_WAY, PLACE, PLACE_SIGMA, DEPTH = range(N_WORK + 7 * PART, N_WORK + 11 * PART, PART)
-N_ALL = N_WORK + 11 * PART
+HALF_WAY, PLACE, PLACE_SIGMA, DEPTH, BEST_X, BEST_Y = range(
+    N_WORK + 7 * PART, N_WORK + 13 * PART, PART
+)
+N_ALL = N_WORK + 13 * PART
 
 LEAST_RATE = f4(0.1)
 """See `candidates.LEAST_PLACING_RATIO`."""
@@ -170,12 +172,14 @@ def weigh(n, row, left, period, code, field, limits, work):  # type: ignore[no-u
         work[PLACE + i] = -expected / rate * period if fits else work[PLACE + i]
         work[PLACE_SIGMA + i] = sigma if fits else work[PLACE_SIGMA + i]
         work[DEPTH + i] = work[T + i] if fits else work[DEPTH + i]
+        work[BEST_X + i] = work[X + i] if fits else work[BEST_X + i]
+        work[BEST_Y + i] = work[Y + i] if fits else work[BEST_Y + i]
 
 
 @njit(**COMPILED)
-def store(n, rejection, work, maps):  # type: ignore[no-untyped-def]
+def store(n, rejection, n_cols2, work, maps):  # type: ignore[no-untyped-def]
     """Write what is decided of a tile."""
-    state, order, half, place, place_sigma, depth = maps
+    state, order, half, place, place_sigma, depth, seen_at = maps
     for i in range(n):
         is_open = (work[N_OTHER + i] >= f4(100)) | (work[N_FIT + i] > ONE)
         is_open |= (work[N_FIT + i] == ONE) & (work[N_OTHER + i] > ZERO)
@@ -195,6 +199,10 @@ def store(n, rejection, work, maps):  # type: ignore[no-untyped-def]
         place_sigma[i] = work[PLACE_SIGMA + i]
     for i in range(n):
         depth[i] = work[DEPTH + i]
+    for i in range(n):
+        fits = work[N_FIT + i] > ZERO
+        x, y = work[BEST_X + i] if fits else ZERO, work[BEST_Y + i] if fits else ZERO
+        seen_at[i] = i4(np.rint(y)) * i4(n_cols2) + i4(np.rint(x))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -204,14 +212,14 @@ def decide(first, tables, second, guard, code, field, limits, maps, rows):  # ty
     first = (phase, class of orders, sigma, rejection (row, col), period, px) of C1; tables, guard,
     field, limits: as `_direct.locate` takes them; second = (phase, sigma, class) of C2; code =
     (first, last order, distance of the orders of a class), float32. maps = (state, order, half,
-    place and its sigma, depth (row, col)), see `fringe3d.correspond.clear`; rows: first and last
-    but one.
+    place and its sigma, depth, seen_at (row, col)), see `fringe3d.correspond.clear`; rows: first
+    and last but one.
     """
     phase1, class1, sigma1, rejection, period = first
     ends, curves, wide, inner, rays = tables
     shape = second[0].shape
     phase2, sigma2, class2 = second[0].reshape(-1), second[1].reshape(-1), second[2].reshape(-1)
-    state, order, half, where, where_sigma, depth = maps
+    state, order, half, where, where_sigma, depth, seen_at = maps
     n_cols, step = phase1.shape[1], code[2]
     work, place, cell = np.zeros(N_ALL, f4), np.zeros(N_PLACES), np.empty(TILE, i4)
     for row in range(rows[0], rows[1]):
@@ -233,7 +241,7 @@ def decide(first, tables, second, guard, code, field, limits, maps, rows):  # ty
                 compare(n, work)
                 fetch_orders(n, class2, cell, shape[1], work)
                 weigh(n, row, left, period, code, field, limits, work)
-            store(n, rejection[row, tile], work, (
+            store(n, rejection[row, tile], shape[1], work, (
                 state[row, tile], order[row, tile], half[row, tile], where[row, tile],
-                where_sigma[row, tile], depth[row, tile],
+                where_sigma[row, tile], depth[row, tile], seen_at[row, tile],
             ))  # fmt: skip

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
 from fringe3d import model
 from fringe3d.correspond._curves import DEPTH_STEP, across, curve_point, exact_point, turned
@@ -102,8 +102,8 @@ def order_range(span, guard, period, turns):  # type: ignore[no-untyped-def]
     return lowest, math.floor((span[1] + guard) / period - turns)
 
 
-@njit(cache=True, parallel=True, error_model="numpy")
-def find_range(where, spans, guard, class1, period, first, found, inside):  # type: ignore[no-untyped-def]
+@njit(cache=True, nogil=True, error_model="numpy")
+def find_range(where, spans, guard, class1, period, first, found, inside, rows):  # type: ignore[no-untyped-def]
     """Write the lowest and highest order of each pixel's class on its part of the ray, (n, 2), and
     the same, of any class, for the part inside the volume.
 
@@ -114,7 +114,7 @@ def find_range(where, spans, guard, class1, period, first, found, inside):  # ty
     """
     wide, inner = spans
     phase1, sigma1, _, _, _, class_of_order, first_order = first
-    for i in prange(len(class1)):
+    for i in range(rows[0], rows[1]):
         turns = phase1[i] / TWO_PI
         beyond = guard[0] * sigma1[i] + guard[1]
         lowest, highest = order_range(wide[where[i]], beyond, period, turns)
@@ -130,9 +130,9 @@ def find_range(where, spans, guard, class1, period, first, found, inside):  # ty
         inside[i, 1] = min(highest, first_order + len(class_of_order) - 1)
 
 
-@njit(cache=True, parallel=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy")
 def list_candidates(  # type: ignore[no-untyped-def]
-    where, class1, ranges, label_step, tables, task, orders, shown, extras, is_inside
+    where, class1, ranges, label_step, tables, task, orders, shown, extras, is_inside, rows
 ):
     """Write the orders of its class on each pixel's segment, and what the devices show of them.
 
@@ -151,7 +151,7 @@ def list_candidates(  # type: ignore[no-untyped-def]
     curves, rays, rotation_p, rotation_2 = tables
     found, inside = ranges
     phase1, sigma1, phase2, sigma2, class2, class_of_order, first_order = first
-    for i in prange(len(class1)):
+    for i in range(rows[0], rows[1]):
         turns, row = phase1[i] / TWO_PI, where[i] // curves.shape[2]
         curve = curves[row, :, where[i] - row * curves.shape[2]]
         is_curve = not math.isnan(curve[0])
@@ -181,8 +181,8 @@ def list_candidates(  # type: ignore[no-untyped-def]
                 is_inside[i, place] = inside[i, 0] <= order <= inside[i, 1]
 
 
-@njit(cache=True, parallel=True, error_model="numpy")
-def weigh(shown, pixels, bias, scatter, most_sigma, costs):  # type: ignore[no-untyped-def]
+@njit(cache=True, nogil=True, error_model="numpy")
+def weigh(shown, pixels, bias, scatter, most_sigma, costs, rows):  # type: ignore[no-untyped-def]
     """Write the squared deviation of each candidate from what C2 shows, (n, m); NaN if unseen.
 
     pixels (n, 2): of C1; bias = (coefficients_px (2, 9), middle (3,), scale (3,), covariance
@@ -190,7 +190,7 @@ def weigh(shown, pixels, bias, scatter, most_sigma, costs):  # type: ignore[no-u
     unexplained.
     """
     c, middle, scale, covariance = bias
-    for i in prange(shown.shape[0]):
+    for i in range(rows[0], rows[1]):
         u, v = (pixels[i, 0] - middle[0]) / scale[0], (pixels[i, 1] - middle[1]) / scale[1]
         rise_x, rise_y = _rise(u, v, c[0]), _rise(u, v, c[1])
         still_x, still_y = _still(u, v, c[0]), _still(u, v, c[1])
@@ -207,15 +207,15 @@ def weigh(shown, pixels, bias, scatter, most_sigma, costs):  # type: ignore[no-u
             costs[i, a] = residual * residual / variance if fits else np.nan
 
 
-@njit(cache=True, parallel=True, error_model="numpy")
-def expect(shown, pixels, bias, scatter, expected, spread, sigma):  # type: ignore[no-untyped-def]
+@njit(cache=True, nogil=True, error_model="numpy")
+def expect(shown, pixels, bias, scatter, expected, spread, sigma, rows):  # type: ignore[no-untyped-def]
     """Write what the bias lets expect of the residuals of chosen candidates, (n,) turns: the
     residual, what the bias leaves unknown, and the standard deviation in all.
 
     shown (n, N_SHOWN); the rest as `weigh` takes it.
     """
     c, middle, scale, covariance = bias
-    for i in prange(len(shown)):
+    for i in range(rows[0], rows[1]):
         u, v = (pixels[i, 0] - middle[0]) / scale[0], (pixels[i, 1] - middle[1]) / scale[1]
         t = (shown[i, DEPTH] - middle[2]) / scale[2]
         gx, gy = np.float64(shown[i, GRADIENT_X]), np.float64(shown[i, GRADIENT_Y])

@@ -10,6 +10,7 @@ from fringe3d.correspond.bias import Frame
 from fringe3d.correspond.choice import Choice, Placed
 from fringe3d.correspond.weighing import CLEAR, TWO_PI, Task, TwoViews
 from fringe3d.geometry import project, rays, sheet_crossing
+from fringe3d.kernels import over_rows
 from fringe3d.model import NO_ORDER, CalibrationBias, Device
 from fringe3d.model.bias import terms_of
 from fringe3d.patterns import across
@@ -91,8 +92,8 @@ def agrees_with_c2(
     certain2[back.valid] = certain
     is_alone = task.listed.is_inside.sum(axis=1) < 2
     n_certain, n_agree = np.empty(len(turns1), np.int8), np.empty(len(turns1), np.int8)
-    _around.count(
-        chosen.depth_mm, task.rays_2, task.camera2, turns1, is_alone, (turns2, certain2),
-        SAME_ORDER, strict, n_certain, n_agree,
+    over_rows(
+        _around.count, len(turns1), chosen.depth_mm, task.rays_2, task.camera2, turns1, is_alone,
+        (turns2, certain2), SAME_ORDER, strict, n_certain, n_agree,
     )  # fmt: skip
     return np.asarray((n_agree > 0) | ((n_certain == 0) & (not strict)))

@@ -46,7 +46,7 @@ that begin there need no more of them."""
 class Decided(NamedTuple):
     """What pixels decide alone, (row, col): `_clear`'s states, the order, and of the point half the
     window, its place across the fringes, and the standard deviation of that, projector px, as in
-    `ChosenOrders`; its depth, mm."""
+    `ChosenOrders`; its depth, mm, and the number of the pixel of C2 that sees it."""
 
     state: NDArray[np.uint8]
     order: NDArray[np.int32]
@@ -54,6 +54,7 @@ class Decided(NamedTuple):
     place_px: NDArray[np.float32]
     place_sigma_px: NDArray[np.float32]
     depth_mm: NDArray[np.float32]
+    seen_at: NDArray[np.int32]
 
     @property
     def is_settled(self) -> Bools:
@@ -93,7 +94,13 @@ def decide_alone(
     tables = ray_curves(views.camera1, views.camera2, projector, volume, phases1.angle)
     shape, first = phases1.phase.shape, phases1.first_order
     found = Decided(
-        np.empty(shape, np.uint8), np.empty(shape, np.int32), *(np.empty(shape, f4) for _ in "1234")
+        state=np.empty(shape, np.uint8),
+        order=np.empty(shape, np.int32),
+        half_px=np.empty(shape, f4),
+        place_px=np.empty(shape, f4),
+        place_sigma_px=np.empty(shape, f4),
+        depth_mm=np.empty(shape, f4),
+        seen_at=np.empty(shape, np.int32),
     )
     over_rows(
         _clear.decide,
@@ -175,28 +182,28 @@ def choose_clearly(
     frame = frame_of(back.camera1, (near, max(far, near + 1.0)), back.phases1.angle)
     bias_back = swapped_bias(bias, coarse, seen, projector, frame)
     decided2 = _decided_by_c2(back, projector, volume, replace(judging, bias=bias_back))
-    where = np.flatnonzero(order.ravel() != NO_ORDER).astype(np.int32)
-    turns1 = order.ravel()[where] + views.phases1.phase.ravel()[where] / TWO_PI
+    phase = views.phases1.phase
+    turns = np.where(order == NO_ORDER, np.float32(np.nan), order + phase * np.float32(1 / TWO_PI))
+    agrees = np.abs(turns - decided2[0].ravel()[found.seen_at]) < SAME_ORDER
+    agrees.ravel()[task.where[is_open]] = False
+    where = np.flatnonzero(np.isfinite(turns) & ~agrees).astype(np.int32)
+    is_alone = np.ones(turns.shape, np.bool_)
+    is_alone.ravel()[task.where[is_open]] = task.listed.is_inside[is_open].sum(axis=1) < 2
     n_certain, n_agree = np.empty(len(where), np.int8), np.empty(len(where), np.int8)
-    is_alone = np.ones(len(where), np.bool_)
-    is_alone[np.searchsorted(where, task.where[is_open & (chosen.order != NO_ORDER)])] = (
-        task.listed.is_inside.sum(axis=1) < 2
-    )[is_open & (chosen.order != NO_ORDER)]
-    _around.count(
-        depth.ravel()[where].astype(np.float64), (where, *coarse.rays_2[1:]), coarse.camera2,
-        turns1, is_alone, decided2, SAME_ORDER, False, n_certain, n_agree,
+    over_rows(
+        _around.count, len(where), depth.ravel()[where].astype(np.float64),
+        (where, *coarse.rays_2[1:]), coarse.camera2,
+        turns.ravel()[where].astype(np.float64), is_alone.ravel()[where], decided2, SAME_ORDER,
+        False, n_certain, n_agree,
     )  # fmt: skip
-    agrees = np.zeros(order.shape, np.bool_)
     agrees.ravel()[where] = (n_agree > 0) | (n_certain == 0)
-    turns = np.full(order.shape, np.nan)
-    turns.ravel()[where] = turns1
     agrees &= ~_stands_in_foreign_light(coarse, seen, turns, agrees, projector)
     return found, task, chosen, agrees
 
 
 def _decided_by_c2(
     back: TwoViews, projector: Device, volume: MeasuringVolume, judging: Judging
-) -> tuple[NDArray[np.float64], Bools]:
+) -> tuple[NDArray[np.float32], Bools]:
     """Return the absolute phase that C2 decides for, turns, NaN for none, and where it is certain,
     (row, col)."""
     found = decide_alone(back, projector, volume, judging)
@@ -208,12 +215,13 @@ def _decided_by_c2(
     order.ravel()[where] = chosen.order[is_open]
     sure = (chosen.probability > CLEAR) & (chosen.cost <= task.limit) & (chosen.order != NO_ORDER)
     certain.ravel()[where] = sure[is_open]
-    turns = np.where(order == NO_ORDER, np.nan, order + back.phases1.phase / TWO_PI)
+    phase = back.phases1.phase
+    turns = np.where(order == NO_ORDER, np.float32(np.nan), order + phase * np.float32(1 / TWO_PI))
     return turns, certain
 
 
 def _stands_in_foreign_light(
-    coarse: Task, seen: _Seen, turns: NDArray[np.float64], agrees: Bools, projector: Device
+    coarse: Task, seen: _Seen, turns: NDArray[np.float32], agrees: Bools, projector: Device
 ) -> Bools:
     """Return `takes_foreign_light` of all pixels, (row, col): that of the coarse pixel of whose
     surface they are. turns: absolute phase."""

@@ -70,7 +70,8 @@ SAME_PART = 0.995
 MOST_PHASE_STEP = 1.5
 """rad; between the pixels of the coarse grid, along which the phase is continued."""
 
-COARSE_STEPS = (4, 3, 2)
+COARSE_STEPS, STEP_LINES = (4, 3, 2), 256
+"""Steps that are tried, and lines on which the phase is looked at."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -283,7 +284,7 @@ def coarse_stride(phase: NDArray[np.float32], /) -> tuple[int, int]:
 
 
 def _step_along(phase: NDArray[np.float32]) -> int:
-    rise = np.diff(phase, axis=0)
+    rise = np.diff(phase[:, :: max(1, phase.shape[1] // STEP_LINES)], axis=0)
     rise = np.abs(rise - 2 * np.pi * np.rint(rise / (2 * np.pi)))
     typical = float(np.nanpercentile(rise, 75)) if np.isfinite(rise).any() else np.pi
     return next((s for s in COARSE_STEPS if s * typical < MOST_PHASE_STEP), 1)

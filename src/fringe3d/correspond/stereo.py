@@ -213,8 +213,9 @@ def _correspondences(
 
 def _largest_std(phases: PhaseMap, places: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the largest standard deviation, rad, of the neighbours of places that have a phase."""
-    known = np.where(phases.rejection == 0, phases.phase_std, 0).astype(np.float64)
     col, row = np.floor(places).astype(int).T
     rows, cols = (np.clip([at, at + 1], 0, n - 1)
-                  for at, n in zip((row, col), known.shape, strict=True))  # fmt: skip
-    return np.asarray(known[rows[:, None], cols[None]].max(axis=(0, 1)))
+                  for at, n in zip((row, col), phases.rejection.shape, strict=True))  # fmt: skip
+    around = rows[:, None], cols[None]
+    known = np.where(phases.rejection[around] == 0, phases.phase_std[around], np.float32(0))
+    return np.asarray(known.max(axis=(0, 1)), np.float64)

@@ -17,6 +17,7 @@ from fringe3d.correspond.grid import index_of, numbers_of, rises_of
 from fringe3d.correspond.projector import GUARD_PX, GUARD_SIGMA
 from fringe3d.geometry import grid_rays
 from fringe3d.geometry.projection import lens_of
+from fringe3d.kernels import over_rows
 from fringe3d.model import (
     NO_ORDER,
     CalibrationBias,
@@ -203,8 +204,17 @@ class Task:
         found, inside = np.empty((n, 2), np.int32), np.empty((n, 2), np.int32)
         spans = tables.wide.reshape(-1, 2), tables.inner.reshape(-1, 2)
         guard = GUARD_SIGMA * phases1.period_px / TWO_PI, GUARD_PX
-        _orders.find_range(
-            self.where, spans, guard, classes, phases1.period_px, self.first, found, inside
+        over_rows(
+            _orders.find_range,
+            n,
+            self.where,
+            spans,
+            guard,
+            classes,
+            phases1.period_px,
+            self.first,
+            found,
+            inside,
         )
         n_orders = int((found[:, 1] - found[:, 0]).max(initial=0)) + 1
         shape = (n, -(-n_orders // label_step))
@@ -217,8 +227,8 @@ class Task:
             is_inside=np.empty(shape, np.bool_),
         )
         task = (self.projector, self.camera2, phases1.period_px, self.first, self._others())
-        _orders.list_candidates(
-            self.where, classes, (found, inside), label_step,
+        over_rows(
+            _orders.list_candidates, n, self.where, classes, (found, inside), label_step,
             (tables.curves, self._directions.reshape(-1, 3), *self._rotations), task,
             listed.orders, listed.shown, listed.extras, listed.is_inside,
         )  # fmt: skip
@@ -244,7 +254,16 @@ class Task:
         costs = np.empty(self.listed.orders.shape, np.float32)
         scatter = bias.scatter_px if scatter_px is None else scatter_px
         field = self._field(bias if scatter_px is None else replace(bias, covariance_px2=None))
-        _orders.weigh(self.listed.shown, self.pixels, field, scatter, MOST_SIGMA, costs)
+        over_rows(
+            _orders.weigh,
+            len(costs),
+            self.listed.shown,
+            self.pixels,
+            field,
+            scatter,
+            MOST_SIGMA,
+            costs,
+        )
         return costs
 
     def _field(self, bias: CalibrationBias) -> tuple[NDArray[np.float64], ...]:
@@ -263,9 +282,9 @@ class Task:
         costs, n = self.costs(bias, scatter_px=scatter_px), len(self.where)
         place, probability, outside = np.empty(n, np.intp), np.empty(n), np.empty(n)
         outside_cost = int(_aggregate.UNIT * OUTSIDE_COST)
-        _aggregate.choose(
-            self._energy(costs), self.is_label, self.listed.is_inside, outside_cost, place,
-            probability, outside,
+        over_rows(
+            _aggregate.choose, n, self._energy(costs), self.is_label, self.listed.is_inside,
+            outside_cost, place, probability, outside,
         )  # fmt: skip
         return Choice(
             candidates=self.listed,
@@ -283,7 +302,17 @@ class Task:
         n = len(self.where)
         expected, scatter, sigma = np.empty(n), np.empty(n), np.empty(n)
         field = self._field(bias)
-        _orders.expect(chosen.shown, self.pixels, field, bias.scatter_px, expected, scatter, sigma)
+        over_rows(
+            _orders.expect,
+            n,
+            chosen.shown,
+            self.pixels,
+            field,
+            bias.scatter_px,
+            expected,
+            scatter,
+            sigma,
+        )
         return expected, scatter, sigma
 
     def _energy(self, costs: NDArray[np.float32]) -> NDArray[np.uint16]:
@@ -292,10 +321,10 @@ class Task:
         own = np.empty((len(costs), _aggregate.padded(costs.shape[1])), np.uint16)
         if not self.together:
             limits = (self.limit / 2, self.limit / 2, self.limit / 2, UNSEEN_COST / 2)
-            _aggregate.write_own_costs(costs, extras, is_label, limits, own)
+            over_rows(_aggregate.write_own_costs, len(own), costs, extras, is_label, limits, own)
             return own
         limits = (LARGEST_COST, LARGEST_EXTRA, LARGEST_COST + LARGEST_EXTRA, HIDDEN_COST)
-        _aggregate.write_own_costs(costs, extras, is_label, limits, own)
+        over_rows(_aggregate.write_own_costs, len(own), costs, extras, is_label, limits, own)
         if costs.shape[1] == 1:
             return own  # nothing to choose
         return _aggregate.aggregate(
