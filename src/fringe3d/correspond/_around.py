@@ -39,3 +39,15 @@ def count(  # type: ignore[no-untyped-def]
                 n_certain[i] += certain and (sees or not is_alone[i])
                 if abs(turns2[near_row, near_col] - turns1[i]) < apart and (certain or not strict):
                     n_agree[i] += 1
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def claim(depths, rays, camera2, claimed, rows):  # type: ignore[no-untyped-def]
+    """Mark the pixels of C2, (row, col), that see points: some of `count`'s."""
+    base, lens = camera2
+    where, directions, rotation = rays
+    n_rows, n_cols = claimed.shape
+    for i in range(rows[0], rows[1]):
+        x, y = pixel(base, turned(rotation, directions[where[i]]), depths[i], lens)
+        if -0.5 < x < n_cols - 0.5 and -0.5 < y < n_rows - 0.5:
+            claimed[int(np.rint(y)), int(np.rint(x))] = True

@@ -2,21 +2,27 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
 from fringe3d.correspond import _around
 from fringe3d.correspond.bias import Frame
 from fringe3d.correspond.choice import Choice, Placed
+from fringe3d.correspond.grid import spread
 from fringe3d.correspond.weighing import CLEAR, TWO_PI, Task, TwoViews
 from fringe3d.geometry import project, rays, sheet_crossing
 from fringe3d.kernels import over_rows
-from fringe3d.model import NO_ORDER, CalibrationBias, Device
+from fringe3d.model import NO_ORDER, CalibrationBias, Device, Rejection
 from fringe3d.model.bias import terms_of
 from fringe3d.patterns import across
 
 SAME_ORDER = 0.5
 """Periods between what C1 and C2 decide for one point."""
+
+ASKED_PX = 8
+"""Pixels around those of C2 that are asked, whose phases have a say among their neighbours."""
 
 BIAS_SAMPLE, AROUND = 4000, 0.1
 """Rays along which a smooth displacement is carried over to the other camera, and how far before
@@ -36,6 +42,18 @@ def swapped(views: TwoViews, /) -> TwoViews:
         periods1=views.periods2,
         periods2=views.periods1,
     )
+
+
+def asked_of_c2(task: Task, chosen: Choice, /) -> TwoViews:
+    """Return the views with C1 and C2 exchanged, but of the new C1 only the pixels that see points
+    that may be accepted, and some around them: no one asks the others."""
+    views = swapped(task.views)
+    where = np.flatnonzero(chosen.is_inside & ~(chosen.cost > task.limit))
+    claimed = np.zeros(views.phases1.phase.shape, np.bool_)
+    rays_2 = (task.where[where], *task.rays_2[1:])
+    over_rows(_around.claim, len(where), chosen.depth_mm[where], rays_2, task.camera2, claimed)
+    left_out = np.where(spread(claimed, ASKED_PX), np.uint16(0), np.uint16(Rejection.NO_MATCH))
+    return replace(views, phases1=views.phases1.rejecting(left_out))
 
 
 def swapped_bias(

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from fringe3d.correspond._clear import DECIDED, NOTHING, OPEN, OUTSIDE
 from fringe3d.correspond._orders import DIFFERENCE, RATIO
-from fringe3d.correspond.both_ways import agrees_with_c2, swapped, swapped_bias
+from fringe3d.correspond.both_ways import agrees_with_c2, asked_of_c2, swapped, swapped_bias
 from fringe3d.correspond.choice import Choice
 from fringe3d.correspond.clear import choose_clearly, is_regular
 from fringe3d.correspond.direct import Judging
@@ -176,7 +176,8 @@ def choose_orders(
         chosen = replace(chosen, outside=np.ones(len(task.pixels)))
     agrees, surface = np.ones(len(task.pixels), bool), np.zeros(len(task.pixels), bool)
     if together and not views.phases1.is_absolute and len(task.pixels):
-        back = Task(swapped(views), projector, volume, task.limit, together=True)
+        back_views = swapped(views) if search else asked_of_c2(task, chosen)
+        back = Task(back_views, projector, volume, task.limit, together=True)
         agrees, surface = _confirmed(task, chosen, bias, back, projector, strict=strict)
     rejection = _rejection(task, chosen, agrees, min_probability)
     if search:

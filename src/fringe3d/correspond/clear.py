@@ -19,6 +19,7 @@ from fringe3d.correspond.both_ways import SAME_ORDER, swapped, swapped_bias
 from fringe3d.correspond.choice import Choice
 from fringe3d.correspond.curves import ray_curves
 from fringe3d.correspond.direct import Judging, numbers_of_judging
+from fringe3d.correspond.grid import spread
 from fringe3d.correspond.projector import GUARD_PX, GUARD_SIGMA
 from fringe3d.correspond.solving import solve
 from fringe3d.correspond.surfaces import CONTINUOUS
@@ -121,25 +122,13 @@ def _open_task(
     views: TwoViews, found: Decided, projector: Device, volume: MeasuringVolume, limit: float
 ) -> Task:
     """Return the task of the open pixels, among neighbours that are settled."""
-    kept = _spread(found.state == _clear.OPEN) & (found.state > _clear.NOTHING)
+    kept = spread(found.state == _clear.OPEN, AROUND_PX) & (found.state > _clear.NOTHING)
     left_out = np.where(kept, np.uint16(0), np.uint16(Rejection.NO_MATCH))
     part = replace(views, phases1=views.phases1.rejecting(left_out))
     task = Task(part, projector, volume, limit, together=True)
     settled = np.where(found.is_settled, found.order, np.int32(NO_ORDER)).ravel()[task.where]
     task.settle(settled)
     return task
-
-
-def _spread(where: Bools) -> Bools:
-    """Return the pixels within `AROUND_PX` rows and columns of some."""
-    for axis in (0, 1):
-        image = np.moveaxis(where.copy(), axis, 0)
-        source = np.moveaxis(where, axis, 0)
-        for step in range(1, AROUND_PX + 1):
-            image[step:] |= source[:-step]
-            image[:-step] |= source[step:]
-        where = np.moveaxis(image, 0, axis)
-    return where
 
 
 def choose_clearly(

@@ -55,3 +55,21 @@ def rises_of(
     limits = SMOOTH_RAD, SMOOTH_SIGMA * np.sqrt(6), STEEPEST_RAD
     _joining.write_rises(phase, noise, limits, rises, smooth)
     return rises, smooth
+
+
+def spread(where: NDArray[np.bool_], reach_px: int, /) -> NDArray[np.bool_]:
+    """Return the pixels within so many rows and columns of some.
+
+    Examples
+    --------
+    >>> spread(np.array([[False, False, False, True]]), 2).tolist()
+    [[False, True, True, True]]
+    """
+    for axis in (0, 1):
+        source = np.moveaxis(where, axis, 0)
+        image = source.copy()
+        for step in range(1, min(reach_px, len(image) - 1) + 1):
+            image[step:] |= source[:-step]
+            image[:-step] |= source[step:]
+        where = np.moveaxis(image, 0, axis)
+    return where
