@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fringe3d.correspond import DOUBT, FIT_SIGMA, Task, coarse_stride, rivals
+from fringe3d.correspond import DOUBT, FIT_SIGMA, Task, coarse_stride, quiet, rivals
 from fringe3d.decode import decode
 from fringe3d.errors import MethodError
 from fringe3d.matching import best_direction_first, two_views
@@ -119,4 +119,4 @@ def _task(
     views = replace(two_views(phases, camera1, camera2), second1=None, second2=None,
                     periods1=(), periods2=())  # fmt: skip
     stride = coarse_stride(views.phases1.phase)
-    return Task(views, projector, volume, FIT_SIGMA**2, together=True, stride=stride)
+    return Task(quiet(views), projector, volume, FIT_SIGMA**2, together=True, stride=stride)

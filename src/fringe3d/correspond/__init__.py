@@ -14,6 +14,7 @@ from fringe3d.correspond.projector import (
     twin_share,
 )
 from fringe3d.correspond.single import confirm_orders
+from fringe3d.correspond.smoothing import averaged_phase, quiet
 from fringe3d.correspond.solving import DOUBT, Rivals, coarse_stride, rivals
 from fringe3d.correspond.stereo import fringe_crossing, match_cameras
 from fringe3d.correspond.weighing import Task, TwoViews
@@ -29,6 +30,7 @@ __all__ = [
     "Task",
     "TwoViews",
     "Witnesses",
+    "averaged_phase",
     "choose_orders",
     "coarse_stride",
     "confirm_orders",
@@ -41,6 +43,7 @@ __all__ = [
     "match_near_sheets",
     "match_projector",
     "place_lost",
+    "quiet",
     "ray_curves",
     "resolve_orders",
     "rivals",

@@ -18,6 +18,7 @@ from fringe3d.correspond.both_ways import agrees_with_c2, asked_of_c2, swapped, 
 from fringe3d.correspond.choice import Choice
 from fringe3d.correspond.clear import choose_clearly, is_regular
 from fringe3d.correspond.direct import Judging
+from fringe3d.correspond.smoothing import quiet
 from fringe3d.correspond.solving import (
     DOUBT,
     coarse_stride,
@@ -149,6 +150,7 @@ def choose_orders(
     has_code = is_regular(views.phases1) and (bias is None or bias.covariance_px2 is None)
     if has_code and is_alone and together and not (search or strict or plain):
         return _clearly(views, projector, volume, bias, min_probability, fit_sigma)
+    measured, views = views, quiet(views) if search else views
     task = Task(views, projector, volume, fit_sigma**2, together)
     panel = ask(task, witnesses, projector, volume)
     if search:
@@ -188,7 +190,7 @@ def choose_orders(
     if search and strict:
         for where, reason in doubtful(task, chosen, rejection, surface, projector):
             reject(rejection, where, reason)
-    found = _chosen(task, chosen, bias, rejection)
+    found = _chosen(task, chosen, bias, measured.phases1, rejection)
     return replace(found, rival_shift=rival.shift() if rival is not None else 0)
 
 
@@ -218,7 +220,7 @@ def _clearly(
     order = np.where(is_inside, found.order, np.int32(NO_ORDER))
     probability = np.where(is_inside, np.float32(1), np.float32(np.nan))
     is_open = found.state.ravel()[task.where] == OPEN
-    where, weighed = task.where[is_open], _found(task, chosen, bias)
+    where, weighed = task.where[is_open], _found(task, chosen, bias, task.first[1])
     own = _rejection(task, chosen, agrees.ravel()[task.where], min_probability)
     rejection.ravel()[where] = own.ravel()[where]
     order.ravel()[where] = chosen.order[is_open]
@@ -320,15 +322,19 @@ class _Found(NamedTuple):
     sigma: NDArray[np.float64]
 
 
-def _found(task: Task, chosen: Choice, bias: CalibrationBias) -> _Found:
+def _found(
+    task: Task, chosen: Choice, bias: CalibrationBias, phase_std: NDArray[np.float32]
+) -> _Found:
+    """Return what is known for phases with the noise, (n,) rad, with which they were measured."""
     period_px = task.views.phases1.period_px
     difference, ratio = chosen.shown[:, DIFFERENCE], chosen.shown[:, RATIO]
     # C2 may see the phase change many times as fast as the projector: a period there must do.
     expected, spread, sigma = task.expected(chosen, bias)
-    seen = np.clip(np.abs(difference) + 4 * sigma, *SEARCH_TURNS)
+    noise = phase_std / TWO_PI
+    averaged = np.hypot(noise, (ratio - 1) * noise)  # at most what averaging has taken away
+    seen = np.clip(np.abs(difference) + 4 * np.hypot(sigma, averaged), *SEARCH_TURNS)
     window = np.minimum(seen / np.maximum(np.abs(ratio), LEAST_RATIO), 0.5)
     rate = np.where(np.abs(ratio) > LEAST_PLACING_RATIO, ratio, np.nan)
-    noise = task.first[1] / TWO_PI
     return _Found(
         half=(window * period_px).astype(np.float32),
         place=-expected / rate * period_px,
@@ -343,15 +349,20 @@ def _all_orders(phases: PhaseMap) -> NDArray[np.int32]:
 
 
 def _chosen(
-    task: Task, chosen: Choice, bias: CalibrationBias, rejection: NDArray[np.uint16]
+    task: Task,
+    chosen: Choice,
+    bias: CalibrationBias,
+    phases1: PhaseMap,
+    rejection: NDArray[np.uint16],
 ) -> ChosenOrders:
-    phases1, valid = task.views.phases1, task.valid
+    """Return the result for the phases of C1 as they were measured."""
+    valid = task.valid
     phases = replace(
         phases1,
         order_class=_spread(chosen.order, valid, fill=NO_ORDER),
         class_of_order=_all_orders(phases1),
     ).rejecting(rejection)
-    found = _found(task, chosen, bias)
+    found = _found(task, chosen, bias, phases1.phase_std[valid])
     probability, residual, sigma, place, place_sigma = (
         np.where(phases.rejection == 0, _spread(values, valid, fill=np.nan), np.nan)
         for values in (chosen.probability, chosen.shown[:, DIFFERENCE], found.sigma, found.place,

@@ -301,7 +301,7 @@ def _judged(tasks: Sequence[Task], bias: CalibrationBias) -> Solution:
     size = bias.coefficients_px / tasks[0].frame.prior_px()
     energy, orders = 0.5 * float((size**2).sum()), []
     for task in tasks:
-        chosen = task.decide(bias, scatter_px=JUDGED_SCATTER_PX)
+        chosen = made_whole(task, task.decide(bias, scatter_px=JUDGED_SCATTER_PX))
         seen = np.isfinite(chosen.cost)  # what lies beyond the border of C2 tells nothing
         cost = np.fmin(chosen.cost[seen] / 2, LARGEST_COST) * (len(seen) / max(1, seen.sum()))
         turns = absolute_turns(task, chosen.order, chosen.order != NO_ORDER)
