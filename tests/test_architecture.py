@@ -33,7 +33,7 @@ ALLOWED: dict[str, set[str]] = {
     "evaluate": {"errors"},
     # What the user wants, and which method that allows: the design's counts say it beforehand.
     "options": NOUNS,
-    "segments": NOUNS | {"design"},
+    "segments": NOUNS | {"design", "geometry"},
     "methods": NOUNS | {"correspond", "decode", "design", "options", "patterns", "segments"},
     # It asks health whether the projector belongs to the cameras before it lets it judge. How many
     # periods C2 sees on a segment is known from the images alone.
@@ -57,6 +57,7 @@ ALLOWED: dict[str, set[str]] = {
         "matching",
         "methods",
         "options",
+        "segments",
         "self_calibration",
         "triangulate",
     },

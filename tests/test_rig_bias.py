@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -240,6 +241,16 @@ def test_what_would_tell_the_rivals_apart(shift: int, bit: int | None) -> None:
     assert "calibrate bias" in finding.text
     (finding,) = check_evidence(matches_of(0, 10, 0), shift, has_bias=True)
     assert "calibrate bias" not in finding.text
+
+
+@pytest.mark.parametrize(
+    ("now", "largest", "told"), [(30, 4, ("30.0", "4.0")), (3, 4, ("3.0",)), (30, 0, ("30.0",))]
+)
+def test_which_angle_would_tell(now: float, largest: float, told: tuple[str, ...]) -> None:
+    (finding,) = check_evidence(
+        matches_of(0, 10, 0), 1, angles=lambda: (np.radians(now), np.radians(largest))
+    )
+    assert re.findall(r"(\d+\.\d) (?:degrees|or less)", finding.text) == list(told)
 
 
 def test_nothing_matched_is_no_doubt() -> None:

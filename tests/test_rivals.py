@@ -186,6 +186,39 @@ def test_a_bias_that_is_not_known_well_enough_leaves_a_plane_open() -> None:
     assert wrong[1] == 0
 
 
+def shifted(bias: CalibrationBias, px: float) -> CalibrationBias:
+    """Return a stored bias that is wrong by the same everywhere, and says so."""
+    wrong = bias.coefficients_px.copy()
+    wrong[0, 0] += px
+    sigma = np.tile([abs(px)] + 8 * [0.02], 2)
+    return replace(bias, coefficients_px=wrong, covariance_px2=np.diag(sigma**2))
+
+
+@pytest.mark.parametrize("px", [0.25, -0.25, 0.5])
+def test_a_stored_bias_that_is_a_period_off_is_put_right_by_structure(px: float) -> None:
+    rig, seen = nearly_symmetric(), visible(nearly_symmetric(), SCENE)
+    views, true = views_of(rig, SCENE, 1), solved(SCENE, 1).bias
+    result = choose(rig, views, search=True, bias=shifted(true, px))
+    good, off = (
+        result.phases.rejection == 0,
+        turns_off(rig, views, SCENE, result.phases.order_class),
+    )
+    assert good[seen].mean() > 0.995
+    assert not off[good & seen].any()
+    assert result.bias.coefficients_px[0, 0] == pytest.approx(true.coefficients_px[0, 0], abs=0.02)
+
+
+@pytest.mark.parametrize("px", [0.25, -0.25])
+def test_a_plane_stays_open_where_the_stored_bias_may_be_a_period_off(px: float) -> None:
+    rig, seen = nearly_symmetric(), visible(nearly_symmetric(), PLANE)
+    views = views_of(rig, PLANE, 1)
+    result = choose(rig, views, search=True, bias=shifted(solved(SCENE, 1).bias, px))
+    good = result.phases.rejection == 0
+    off = turns_off(rig, views, PLANE, result.phases.order_class)
+    assert not (good & (off != 0))[seen].any()
+    assert result.rival_shift == 1
+
+
 def test_a_bias_that_changes_sign_is_found() -> None:
     """Turned about its axis C2 errs to one side above and to the other below."""
     rig = small_rig(projector_azimuth_deg=-3.0)

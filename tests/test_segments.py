@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from closed_form import SphereScene, simulate
-from closed_phases import grid_of, small_rig
+from closed_form import SphereScene, demo_rig, simulate
+from closed_phases import PLANE, grid_of, phase_map, small_rig
 from cv_lens import cv_project, cv_rays
 from fringe3d.correspond import fringe_crossing
 from fringe3d.decode import decode
@@ -19,7 +19,7 @@ from fringe3d.model import MeasuringVolume, PatternPlan, Rig, Scan
 from fringe3d.model.plan import fringes, gray_code
 from fringe3d.options import MeasureOptions, keep_images
 from fringe3d.pipeline import measure
-from fringe3d.segments import Segments, segments_in_camera, told_apart
+from fringe3d.segments import Segments, angles_without_code, segments_in_camera, told_apart
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 
@@ -143,3 +143,17 @@ def test_surfaces_that_may_lie_beyond_the_volume_are_told(scan: Scan) -> None:
 
 def test_a_full_code_is_not_judged(scan: Scan) -> None:
     assert matched(scan, rig_of(8.0), 7).findings == ()
+
+
+def test_half_the_depth_allows_twice_the_angle() -> None:
+    """A segment is as long as the depth times the tangent of the angle, for small ones."""
+    rig = demo_rig()
+    assert rig.projector is not None
+    phases = phase_map(rig.cameras[0], rig.projector, PLANE, period_px=PERIOD_PX)
+    deep, flat = (
+        angles_without_code(rig, MeasuringVolume.box([-80, -80, -z], [80, 80, z]), phases)
+        for z in (8.0, 4.0)
+    )
+    axis_1, axis_p = (d.device_from_world.rotation[2] for d in (rig.cameras[0], rig.projector))
+    assert deep[0] == pytest.approx(np.arccos(axis_1 @ axis_p), abs=0.01)  # they look at its middle
+    assert flat[1] == pytest.approx(2 * deep[1], rel=0.05)

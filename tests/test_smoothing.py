@@ -17,7 +17,7 @@ SLOPE = (-2.2, 0.9)
 
 def wave(slope: tuple[float, float] = SLOPE, *, bend: float = 0.0) -> NDArray[np.float64]:
     rows, cols = np.indices(SHAPE)
-    return 1.0 + slope[0] * rows + slope[1] * cols + bend * cols**2
+    return np.asarray(1.0 + slope[0] * rows + slope[1] * cols + bend * cols**2)
 
 
 def wrapped(phase: NDArray[np.float64]) -> NDArray[np.float32]:

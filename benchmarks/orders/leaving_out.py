@@ -86,7 +86,7 @@ def _no_bias() -> Patches:
 
 
 def _not_refined() -> Patches:
-    return [patch(f"{HERE}.candidates.refined", lambda _task, known: known)]
+    return [patch(f"{HERE}.candidates.rivals_around", lambda *_: None)]
 
 
 def _one_start() -> Patches:

@@ -35,6 +35,7 @@ from fringe3d.model import (
     Correspondences,
     Device,
     ImageStack,
+    MeasuringVolume,
     PhaseMap,
     PointCloud,
     PointMap,
@@ -43,6 +44,7 @@ from fringe3d.model import (
 )
 from fringe3d.model.rejection import count_by_reason
 from fringe3d.options import MeasureOptions, keep_images, volume_of
+from fringe3d.segments import angles_without_code
 from fringe3d.self_calibration import check_moved
 from fringe3d.triangulate import (
     remove_edges,
@@ -175,7 +177,7 @@ def measure(
                         options=options, bias=scan.rig.bias, previous_mm=previous_mm,
                         cameras=_further_cameras(scan.rig, stacks))  # fmt: skip
         matches = matched.matches
-        findings += _check_orders(matched, main, scan.rig, choice.method)
+        findings += _check_orders(matched, main, scan.rig, volume, choice.method)
         if previous_mm is not None and projector is not None:
             findings += check_previous(matches, main, projector, previous_mm)
         if other.role == "projector" and not main.is_absolute and volume is not None:
@@ -202,13 +204,19 @@ def measure(
     return _finish(result, clock)
 
 
-def _check_orders(matched: Matched, main: PhaseMap, rig: Rig, method: str) -> list[Finding]:
+def _check_orders(
+    matched: Matched, main: PhaseMap, rig: Rig, volume: MeasuringVolume | None, method: str
+) -> list[Finding]:
     """Check what the fringe orders rest on; too many that several fit are refused but by M6."""
-    ambiguity = (
-        check_evidence(matched.matches, matched.rival_shift, has_bias=rig.bias is not None)
-        if method == "m6"
-        else _refuse(check_ambiguity(matched.matches, main), MethodError)
-    )
+    ambiguity: Sequence[Finding]
+    if method == "m6":
+        assert volume is not None
+        ambiguity = check_evidence(
+            matched.matches, matched.rival_shift, has_bias=rig.bias is not None,
+            angles=lambda: angles_without_code(rig, volume, main),
+        )  # fmt: skip
+    else:
+        ambiguity = _refuse(check_ambiguity(matched.matches, main), MethodError)
     bias = check_bias(matched.bias, rig.bias)
     return [*matched.findings, *ambiguity, *bias, *check_probability(matched.matches)]
 

@@ -15,12 +15,15 @@ from numpy.typing import NDArray
 
 from fringe3d.design import (
     GrayNeeds,
+    angle_without_code,
     gray_needs,
     guard_periods,
     periods_in_camera,
     periods_on_projector,
+    reference_of,
     twin_part,
 )
+from fringe3d.geometry import triangulation_angle
 from fringe3d.model import Device, MeasuringVolume, PhaseMap, Rig
 
 SEGMENTS_KEPT = 8
@@ -168,3 +171,18 @@ def _other_rig(segments: Segments) -> str:
         "rule shorter. fringe3d design counts the same with --camera-period "
         f"{segments.camera_period_px:.1f}"
     )
+
+
+def angles_without_code(
+    rig: Rig, volume: MeasuringVolume, phases: PhaseMap, /
+) -> tuple[float, float]:
+    """Return the angle between C1 and the projector in the middle of the volume, rad, and the
+    largest one at which each segment holds less than a period; see `design.angle_without_code`.
+    """
+    assert rig.projector is not None
+    placed = replace(rig, volume=volume)
+    largest = angle_without_code(
+        placed, period_px=phases.period_px, angle=phases.angle, step=4 * COUNT_STEP_PX
+    )
+    middle = reference_of(placed).point_mm
+    return triangulation_angle(rig.cameras[0], rig.projector, middle), largest

@@ -151,7 +151,7 @@ def learn_bias(
     part = evidence.part(slice(None, None, max(1, len(evidence) // SAMPLE)))
     terms = terms_of(part.pixels, part.depths_mm, frame.middle, frame.scale)
     design = np.hstack([part.gradient[:, :1] * terms, part.gradient[:, 1:] * terms])
-    expected, prior = _expected(frame, known)
+    mean, prior = expected(frame, known)
     data = np.column_stack([part.difference, part.variance, (part.gradient**2).sum(axis=1)])
     noise_px = _noise_px(data)
     share = len(evidence) / max(len(part), 1) / n_alike  # patches for each datum
@@ -165,9 +165,7 @@ def learn_bias(
         _robust.normal_equations(
             design, data, coefficients, scatter, share, normal, right, unwrapped
         )
-        coefficients = np.asarray(
-            np.linalg.solve(normal + prior, right + prior @ expected), np.float64
-        )
+        coefficients = np.asarray(np.linalg.solve(normal + prior, right + prior @ mean), np.float64)
         _robust.misfit_per_px(design, unwrapped, data, coefficients, misfit)
         spread = MAD_TO_SIGMA * _median(misfit)
         scatter = max(float(np.sqrt(max(spread**2 - noise_px**2, 0))), LEAST_SCATTER_PX)
@@ -177,7 +175,7 @@ def learn_bias(
     )
 
 
-def _expected(frame: Frame, known: CalibrationBias | None) -> tuple[Floats, Floats]:
+def expected(frame: Frame, known: CalibrationBias | None, /) -> tuple[Floats, Floats]:
     """Return the coefficients that are expected, (18,), and how surely: the inverse covariance."""
     if known is None or known.covariance_px2 is None:
         return np.zeros(2 * N_TERMS), np.diag(np.tile(frame.prior_px(), 2) ** -2.0)

@@ -26,6 +26,7 @@ from fringe3d.correspond.solving import (
     nothing_known,
     refined,
     rivals,
+    rivals_around,
     solve,
 )
 from fringe3d.correspond.strictness import doubtful
@@ -157,10 +158,8 @@ def choose_orders(
         stride = coarse_stride(views.phases1.phase)
         coarse = Task(views, projector, volume, fit_sigma**2, together, stride)
         ask(coarse, witnesses, projector, volume)
-        if bias is not None:
-            bias = refined(coarse, bias)
-        elif (rival := rivals([coarse])) is not None:
-            bias = rival.best
+        rival = rivals([coarse]) if bias is None else rivals_around(coarse, bias)
+        bias = bias if rival is None else rival.best
     else:
         bias = learnt_coarsely(views, projector, volume, fit_sigma, known=bias, together=together)
     chosen, bias = solve(task, bias)

@@ -19,6 +19,7 @@ from fringe3d.correspond.bias import (
     LEAST_PIXELS,
     PATCH_PX,
     Frame,
+    expected,
     joined,
     learn_bias,
 )
@@ -46,6 +47,10 @@ N_REFINED, ROUNDS = 3, 2
 
 REFINEMENTS = 3
 """How often a stored bias is refined, and decided with."""
+
+SPREAD, LEAST_SHIFT_PX = 3.0, 0.15
+"""Standard deviations of a stored bias within which there may be another solution, and how far away
+it is at least."""
 
 N_LOOKS, NUDGE_PX = 3, 0.3
 """How often better solutions are sought around the best one, and how far away."""
@@ -148,13 +153,48 @@ def solve(
     return (made_whole(task, chosen, doubts=doubts) if task.together else chosen), bias
 
 
-def refined(task: Task, known: CalibrationBias, /) -> CalibrationBias:
+def rivals_around(task: Task, known: CalibrationBias, /) -> Rivals | None:
+    """Find the biases around a stored one that go with the images, and how probable each is.
+
+    Where it is not known to a part of the distance of two solutions, the images tell which it is.
+
+    Returns
+    -------
+    Rivals or None where there is nothing to learn, or nobody knows how well the bias is known
+
+    Notes
+    -----
+    Weights as in `rivals`, with the stored bias and its covariance for what is expected.
+    """
+    if known.covariance_px2 is None or not len(task.pixels):
+        return None
+    found: list[Solution] = []
+    for start in _starts_around(task, known):
+        _keep(found, _judged([task], refined(task, known, start=start), known))
+    found.sort(key=lambda s: s.energy)
+    return _weighed([task], found)
+
+
+def _starts_around(task: Task, known: CalibrationBias) -> Iterator[CalibrationBias]:
+    """Yield a stored bias, and what it may be instead along the epipolar lines."""
+    way = _epipolar_direction(task)
+    spread = SPREAD * float(np.sqrt(known.covariance_along(way)[0, 0]))
+    for shift in STARTS_PX:
+        if shift == 0 or LEAST_SHIFT_PX < abs(shift) < spread:
+            coefficients = known.coefficients_px.copy()
+            coefficients[:, 0] += shift * way
+            yield replace(known, coefficients_px=coefficients)
+
+
+def refined(
+    task: Task, known: CalibrationBias, /, *, start: CalibrationBias | None = None
+) -> CalibrationBias:
     """Return a stored bias with what the measurement itself adds to it.
 
     Where no surface was when it was learnt it is not known well enough to choose by: what is clear
-    elsewhere on a surface tells it there.
+    elsewhere on a surface tells it there. `start` is where to begin, the bias itself if None.
     """
-    bias, frame = known, Frame(known.middle, known.scale, known.angle)
+    bias, frame = start or known, Frame(known.middle, known.scale, known.angle)
     if known.covariance_px2 is None:
         return known
     for _ in range(REFINEMENTS):
@@ -220,10 +260,15 @@ def rivals(tasks: Sequence[Task], /) -> Rivals | None:
     if not found:
         return None
     _look_around(tasks, found, way)
+    rest = _weighed(tasks, found)
+    return replace(rest, solutions=tuple(_of_whole_surfaces(tasks, s) for s in rest.solutions))
+
+
+def _weighed(tasks: Sequence[Task], found: Sequence[Solution]) -> Rivals:
+    """Return the solutions, the best first, that are not ruled out by it."""
     weights = np.exp([found[0].energy - s.energy for s in found])
     n = int((weights > LEAST_WEIGHT).sum())
-    solutions = tuple(_of_whole_surfaces(tasks, solution) for solution in found[:n])
-    return Rivals(tuple(tasks), solutions, weights[:n] / weights[:n].sum())
+    return Rivals(tuple(tasks), tuple(found[:n]), weights[:n] / weights[:n].sum())
 
 
 def _of_whole_surfaces(tasks: Sequence[Task], solution: Solution) -> Solution:
@@ -297,9 +342,10 @@ def _improved(tasks: Sequence[Task], bias: CalibrationBias) -> Solution | None:
     return None if learnt is None else _judged(tasks, learnt)
 
 
-def _judged(tasks: Sequence[Task], bias: CalibrationBias) -> Solution:
-    size = bias.coefficients_px / tasks[0].frame.prior_px()
-    energy, orders = 0.5 * float((size**2).sum()), []
+def _judged(
+    tasks: Sequence[Task], bias: CalibrationBias, known: CalibrationBias | None = None
+) -> Solution:
+    energy, orders = _surprise(tasks[0].frame, bias, known), []
     for task in tasks:
         chosen = made_whole(task, task.decide(bias, scatter_px=JUDGED_SCATTER_PX))
         seen = np.isfinite(chosen.cost)  # what lies beyond the border of C2 tells nothing
@@ -311,6 +357,13 @@ def _judged(tasks: Sequence[Task], bias: CalibrationBias) -> Solution:
         energy += (float(cost.sum()) + float(others.sum()) + STEP_PENALTY * jumps) / _n_alike(task)
         orders.append(chosen.order)
     return Solution(bias, tuple(orders), energy)
+
+
+def _surprise(frame: Frame, bias: CalibrationBias, known: CalibrationBias | None) -> float:
+    """Return half the squared deviation of a bias from what is expected."""
+    mean, precision = expected(frame, known)
+    apart = bias.coefficients_px.ravel() - mean
+    return 0.5 * float(apart @ precision @ apart)
 
 
 def _change(task: Task, chosen: Choice) -> float:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -207,7 +209,12 @@ def _part(name: str, share: float, most: float, text: str, advice: str) -> list[
 
 
 def check_evidence(
-    matches: Correspondences, rival_shift: int, /, *, has_bias: bool = False
+    matches: Correspondences,
+    rival_shift: int,
+    /,
+    *,
+    has_bias: bool = False,
+    angles: Callable[[], tuple[float, float]] | None = None,
 ) -> list[Finding]:
     """Judge how many fringe orders the evidence of all pixels leaves open (method M6).
 
@@ -216,11 +223,15 @@ def check_evidence(
     matches : Correspondences
     rival_shift : int; periods by which another solution differs that fits as well; 0 for none
     has_bias : bool; the calibration's bias is stored with the rig
+    angles : called where many are open; returns that between C1 and the projector, and the largest
+        one at which each segment holds less than a period, rad
     """
     ambiguous = (matches.rejection & np.uint16(Rejection.AMBIGUOUS)) != 0
     candidates = int((ambiguous | (matches.rejection == 0)).sum())
     share = float(ambiguous.sum() / candidates) if candidates else 0.0
     text = f"{share:.1%} of the pixels with candidates fit several fringe orders about equally well"
+    if share <= UNDECIDED_WARNING:
+        return [Finding("ok", "undecided_part", share, text)]
     apart = f", {rival_shift} period(s) apart" if rival_shift else ""
     bit = (rival_shift & -rival_shift).bit_length() - 1 if rival_shift else 0
     bias = (
@@ -230,9 +241,22 @@ def check_evidence(
     advice = (
         f"{apart}; they are rejected as AMBIGUOUS. What would tell: {'' if has_bias else bias}"
         f"image {bit} (0 is the finest) of a cyclic Gray code; a narrower depth range (--depth "
-        "MIN:MAX); or a projector at another angle (fringe3d design --optimise)"
+        f"MIN:MAX); or a projector at another angle{_as_now(angles)} (fringe3d design --optimise)"
     )
-    return _part("undecided_part", share, UNDECIDED_WARNING, text, advice)
+    return [Finding("warning", "undecided_part", share, text + advice)]
+
+
+def _as_now(angles: Callable[[], tuple[float, float]] | None) -> str:
+    """Return between which angles the projector might be moved, for a message."""
+    if angles is None:
+        return ""
+    now, largest = np.degrees(angles())
+    if not 0 < largest < now:
+        return f", now {now:.1f} degrees from C1"
+    return (
+        f" than {now:.1f} degrees from C1: at {largest:.1f} or less each segment holds one order; "
+        "beyond, the less symmetrically the cameras see it, the better"
+    )
 
 
 def check_bias(used: CalibrationBias | None, stored: CalibrationBias | None, /) -> list[Finding]:
