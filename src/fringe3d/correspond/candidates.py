@@ -126,8 +126,7 @@ def choose_orders(
     fit_sigma : float; residuals beyond are no fit
     together : bool; decide with the evidence of all pixels along eight paths through each, on
         which the absolute phase is continuous; otherwise each pixel decides alone
-    strict : bool; C2, asked in its turn, must be certain of the same order. In a `search`, what
-        `fringe3d.correspond.strictness.doubtful` tells is rejected, too
+    strict : bool; C2, asked in its turn, must be certain of the same order; and fewer doubts do
     plain : bool; weigh the candidates of all pixels, also where hardly one fits but one: slow, and
         nearly the same. For comparison
 
@@ -186,8 +185,7 @@ def choose_orders(
         reject(rejection, _spread(hidden, task.valid, fill=False), Rejection.HIDDEN)
         fragment = is_fragment(task, chosen, rejection) & (rejection == 0)
         reject(rejection, fragment, Rejection.AMBIGUOUS)
-    if search and strict:
-        for where, reason in doubtful(task, chosen, rejection, surface, projector):
+        for where, reason in doubtful(task, chosen, rejection, surface, projector, strict=strict):
             reject(rejection, where, reason)
     found = _chosen(task, chosen, bias, measured.phases1, rejection)
     return replace(found, rival_shift=rival.shift() if rival is not None else 0)
@@ -330,7 +328,8 @@ def _found(
     # C2 may see the phase change many times as fast as the projector: a period there must do.
     expected, spread, sigma = task.expected(chosen, bias)
     noise = phase_std / TWO_PI
-    averaged = np.hypot(noise, (ratio - 1) * noise)  # at most what averaging has taken away
+    averaged = np.sqrt(np.maximum(noise**2 - (task.first[1] / TWO_PI) ** 2, 0))
+    averaged *= np.hypot(1, ratio - 1)  # what averaging has taken away from both phases
     seen = np.clip(np.abs(difference) + 4 * np.hypot(sigma, averaged), *SEARCH_TURNS)
     window = np.minimum(seen / np.maximum(np.abs(ratio), LEAST_RATIO), 0.5)
     rate = np.where(np.abs(ratio) > LEAST_PLACING_RATIO, ratio, np.nan)

@@ -1,4 +1,4 @@
-"""What metrology does without: points whose light may be that of two surfaces."""
+"""Points whose light may be that of two surfaces: most are left out, all where it matters."""
 
 from __future__ import annotations
 
@@ -23,7 +23,10 @@ MARGIN_PX = 0.5
 LACK, LACK_IN_C2, MISFIT, ALONE = 1.0, 0.5, 0.6, 0.6
 """What speaks against a pixel at a border, 0 to 1 each: the modulation that it lacks against its
 brightest neighbour in C1, and in C2; its residual's square against the limit; and the part of its
-neighbours that have no point. Together they may not exceed 1."""
+neighbours that have no point."""
+
+MOST_DOUBT, MOST_DOUBT_STRICT = 1.5, 1.0
+"""What together may speak against a pixel. Of those beyond the first more are false than right."""
 
 LEAST_MISSING = 0.01
 """Above the rounding of sums: one of nine is more."""
@@ -39,8 +42,10 @@ def doubtful(
     surface: Bools,
     projector: Device,
     /,
+    *,
+    strict: bool,
 ) -> Iterator[tuple[Bools, Rejection]]:
-    """Yield which pixels strict measurements do without, (row, col), and why.
+    """Yield which pixels to do without, (row, col), and why.
 
     Parameters
     ----------
@@ -49,6 +54,7 @@ def doubtful(
     rejection : (row, col) uint16; of what is refused in any case
     surface : (n,) bool; pixels whose order is well founded; the others hide nothing
     projector : Device
+    strict : bool; without doubts that others may live with, too, as metrology does
 
     Notes
     -----
@@ -60,12 +66,13 @@ def doubtful(
     kept = task.valid & (rejection == 0)
     missing = 1 - uniform_filter(kept.astype(np.float64), NEXT_PX)
     border = kept & (missing > LEAST_MISSING)
-    hidden = is_hidden(task, chosen, surface, projector, margin_px=MARGIN_PX)
-    yield border & _spread(task, hidden), Rejection.HIDDEN
+    if strict:
+        hidden = is_hidden(task, chosen, surface, projector, margin_px=MARGIN_PX)
+        yield border & _spread(task, hidden), Rejection.HIDDEN
     misfit = _spread(task, np.nan_to_num(chosen.cost / task.limit, nan=1.0))
     lack1, lack2 = _lacks(task, chosen)
     doubt = LACK * lack1 + LACK_IN_C2 * lack2 + MISFIT * misfit + ALONE * missing
-    yield border & (doubt > 1), Rejection.EDGE
+    yield border & (doubt > (MOST_DOUBT_STRICT if strict else MOST_DOUBT)), Rejection.EDGE
 
 
 def _lacks(task: Task, chosen: Choice) -> tuple[NDArray[Any], NDArray[Any]]:
