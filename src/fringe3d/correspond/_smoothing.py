@@ -5,24 +5,25 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
 from fringe3d.correspond._phase import wrap
 
 f4 = np.float32
 
 
-@njit(cache=True, parallel=True, nogil=True, error_model="numpy")
-def average(phase, sigma, radius, limits, averaged, sigma_averaged):  # type: ignore[no-untyped-def]
+@njit(cache=True, nogil=True, error_model="numpy")
+def average(phase, sigma, radius, limits, averaged, sigma_averaged, rows):  # type: ignore[no-untyped-def]
     """Write the phase averaged over pairs of pixels that lie opposite each other, (row, col) rad.
 
     phase, sigma (row, col): rad, NaN where unknown; radius: px; limits = (deviation of a pair's
     mean on a surface, rad; the same in standard deviations of the pixel). A pair is left out where
-    it deviates by more, or one of it is unknown. Averages are not wrapped again.
+    it deviates by more, or one of it is unknown. Averages are not wrapped again. rows = (first,
+    last but one).
     """
     n_rows, n_cols = phase.shape
     most, most_sigma = limits
-    for row in prange(n_rows):
+    for row in range(rows[0], rows[1]):
         for col in range(n_cols):
             here, noise = phase[row, col], sigma[row, col]
             averaged[row, col], sigma_averaged[row, col] = here, noise

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from fringe3d.correspond._smoothing import average
 from fringe3d.correspond.weighing import TwoViews
+from fringe3d.kernels import over_rows
 from fringe3d.model import PhaseMap
 
 NOISY_RAD = (0.035, 0.06)
@@ -71,7 +72,7 @@ def averaged_phase(
     averaged, sigma_averaged = np.empty_like(phase), np.empty_like(sigma)
     # A pair less twice the middle has six times the variance of a pixel.
     limits = np.float32(SMOOTH_RAD), np.float32(SMOOTH_SIGMA * np.sqrt(6))
-    average(phase, sigma, radius, limits, averaged, sigma_averaged)
+    over_rows(average, len(phase), phase, sigma, radius, limits, averaged, sigma_averaged)
     return averaged, sigma_averaged
 
 
