@@ -268,6 +268,36 @@ def test_a_camera_is_calibrated_from_plain_images(
     assert "4 poses, 1 devices" in printed
 
 
+def test_plain_images_need_no_description(
+    series: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Images of one number are of one pose; it comes to the same as with scan folders."""
+    (tmp_path / "left").mkdir()
+    (tmp_path / "right").mkdir()
+    for number in range(8, 13):
+        image = cv2.imread(str(series / f"pose-{number}" / "c1" / "000.png"), cv2.IMREAD_UNCHANGED)
+        assert image is not None
+        cv2.imwrite(str(tmp_path / "left" / f"im{number:02d}.png"), image)
+    cv2.imwrite(str(tmp_path / "right" / "07.png"), image)
+    call = ("calibrate", tmp_path, "--board", "chessboard:8x6:20mm", "--json", "--out")
+    assert run(*call, tmp_path / "a.toml", "--camera", "left=left/im{index:02d}.png") == 0
+    found = json.loads(capsys.readouterr().out)
+    assert run(call[0], series, *call[2:], tmp_path / "b.toml") == 0
+    expected = json.loads(capsys.readouterr().out)
+    assert [p["pose"] for p in found["poses"]] == ["08", "09", "10", "11", "12"]
+    assert found["devices"][0]["name"] == "left"
+    assert found["devices"][0]["rms_px"] == pytest.approx(expected["devices"][0]["rms_px"])
+    for more, message in (
+        (("--camera", "left=left/im{index:02d}.png"), "found 'left' twice"),
+        (("--camera", "right=right/{index:02d}.png"), "images of one number from all cameras"),
+        (("--camera", "right=up/{index:02d}.png"), "up/"),
+        (("--scan", "scan.toml"), "found both. Leave one out"),
+    ):
+        words = (*call, tmp_path / "c.toml", "--camera", "left=left/im{index:02d}.png", *more)
+        assert run(*words) == 2
+        assert message in " ".join(capsys.readouterr().err.split())
+
+
 @pytest.mark.parametrize(("words", "message"), [
     (("--board", "chessboard:9x6:20mm"), "The first image shows one of 8 x 6: correct --board"),
     (("--board", "chessboard:8x6", "--leave-out", "pose-99"), "found pose-99"),

@@ -8,17 +8,20 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from cv_lens import cv_project
+from fringe3d.calibrate import circle_centers
 from fringe3d.cli.run import main
 from fringe3d.io.board_images import find_corners
 from fringe3d.io.boardfile import board_text, read_board
 from fringe3d.io.recording import read_scan
 from fringe3d.io.rigfile import read_rig
-from fringe3d.model import Board
+from fringe3d.model import Board, PatternPlan, RigidTransform, Uniform
 
 pytest.importorskip("embreex")
 
+from fringe3d.simulate import PRESETS, prepare, record
 from fringe3d.simulate.boards import BLACK, WHITE, board_poses, printed_board
 
 CHESS = Board(kind="chessboard", n_cols=9, n_rows=7, pitch_mm=6.0)
@@ -143,12 +146,57 @@ def test_calibrate_reads_the_series_and_compares_with_the_former_rig(
     assert picture.std() > 10
 
 
-def test_mistakes_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    for thing, said in (
-        ("chessboard:9x7", "expected a board with its pitch"),
-        ("circles:9x7:5mm", "expected a chessboard or charuco to simulate"),
-    ):
-        with pytest.raises(SystemExit):
-            main(["simulate", "kolibri", "--object", thing, "--out", str(tmp_path / "new")])
-        assert said in " ".join(capsys.readouterr().err.split())
-        assert not (tmp_path / "new").exists()
+def test_a_board_without_a_pitch_is_not_simulated(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit):
+        main(["simulate", "kolibri", "--object", "circles:9x7", "--out", str(tmp_path / "new")])
+    assert "expected a board with its pitch" in " ".join(capsys.readouterr().err.split())
+    assert not (tmp_path / "new").exists()
+
+
+@pytest.mark.parametrize("words", ["circles:4x3:10mm", "asymmetric-circles:3x5:5mm"])
+def test_circles_are_round_and_where_they_should_be(words: str) -> None:
+    board = read_board(words)
+    mesh = printed_board(board).mesh
+    corners = mesh.vertices_mm[mesh.faces]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    assert (normals[:, 2] < 0).all()
+    assert mesh.albedo is not None
+    black = mesh.albedo[mesh.faces[:, 0]] == np.float32(BLACK)
+    radius = 0.3 * (10 if board.kind == "circles" else 5 * np.sqrt(2))
+    area = -normals[:, 2] / 2
+    assert area[black].sum() == pytest.approx(board.n_points * np.pi * radius**2)
+    middles = corners[black].mean(axis=1)
+    away = np.linalg.norm(middles[:, None] - board.points_mm, axis=2)
+    assert away.min(axis=1).max() < radius
+    nearest = away.argmin(axis=1)
+    for number, point in enumerate(board.points_mm):
+        own = nearest == number
+        centroid = (middles[own] * area[black][own, None]).sum(axis=0) / area[black][own].sum()
+        np.testing.assert_allclose(centroid, point, atol=1e-9)
+
+
+def test_rendered_circles_are_found_where_the_truth_says() -> None:
+    """A tilted pose; with the middles of the ellipses all would lie to one side."""
+    preset = PRESETS["wide-depth"]((320, 256))
+    board = read_board("circles:6x5:40mm")
+    made = printed_board(board)
+    turn = Rotation.from_rotvec([0.6, 0.3, 0]).as_matrix() @ np.diag([1.0, -1.0, -1.0])
+    pose = RigidTransform(rotation=turn, translation=-turn @ board.points_mm.mean(axis=0))
+    scene = preset.scene(made.mesh, background="none", scaled=False).placed(pose)
+    light = PatternPlan(patterns=(Uniform(level=1.0),), projector_shape=(768, 1024))
+    scan = record(prepare(preset.rig, scene), light, seed=0)
+    for stack, camera in zip(scan.stacks, preset.rig.cameras, strict=True):
+        found = find_corners(stack.images[0], board)
+        assert found.areas is not None
+        assert len(found) == board.n_points
+        expected = cv_project(camera, pose.apply(made.points_mm))
+        off = circle_centers(board, found.ids, found.pixels, found.areas) - expected
+        before = found.pixels - expected
+        if np.abs(off).max() > 5:
+            off = off[::-1] + expected[::-1] - expected
+            before = before[::-1] + expected[::-1] - expected
+        assert np.linalg.norm(before.mean(axis=0)) > 0.06
+        assert np.linalg.norm(off.mean(axis=0)) < 0.02
+        assert np.sqrt((off**2).mean()) < 0.05

@@ -12,6 +12,7 @@ from fringe3d.calibrate.board_judging import (
     leave_poses_out,
 )
 from fringe3d.calibrate.board_view import BoardView
+from fringe3d.calibrate.circle_centers import circle_centers
 from fringe3d.calibrate.comparing import RigComparison, compare_rigs
 from fringe3d.calibrate.corner_light import light_on_corners
 from fringe3d.calibrate.homologous import Homologous, Sight, homologous_points
@@ -53,6 +54,7 @@ __all__ = [
     "check_board",
     "check_fit",
     "check_poses",
+    "circle_centers",
     "compare_rigs",
     "contradiction",
     "fit_poses",

@@ -6,14 +6,15 @@ import shlex
 import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from cyclopts import App, Parameter
 from numpy.typing import NDArray
 
-from fringe3d.cli.console import Reporter, say
-from fringe3d.cli.parameters import Json, Overwrite, app
+from fringe3d.cli.console import Reporter
+from fringe3d.cli.parameters import Json, app
+from fringe3d.cli.scan_options import ScanOptions, read_scans, tell
 from fringe3d.errors import Fringe3DError, MethodError, PlanError, RigError
 from fringe3d.model import PatternPlan, Rejection, Rig, Scan
 
@@ -46,91 +47,41 @@ LENS_NAMES = {
 }
 
 
-Scans = Annotated[list[Path], Parameter(name="--from", negative=())]
-Images = Annotated[
-    list[Path] | None,
-    Parameter(
-        negative=(),
-        help="Folder of the images, where they do not lie beside the scan file; repeat it for each "
-        "scan.",
-    ),
-]
-
-
+@Parameter(name="*")
 @dataclass(frozen=True, slots=True, kw_only=True)
-class CalibrationOptions:
-    """What every calibration from scans asks for; see ``fringe3d calibrate --help``."""
-
-    scans: tuple[Path, ...]
-    out: Path
-    rig: Path | None = None
-    images: tuple[Path, ...] = ()
-    depth_mm: tuple[float, float] | None = None
-    overwrite: bool = False
-
-
-@calibrate.command
-def projector(
-    *,
-    from_: Scans,
-    out: Path,
-    rig: Path | None = None,
-    images: Images = None,
-    depth: str | None = None,
-    projector_size: str | None = None,
-    distortion: Literal["auto", "none", "k1", "k1-p", "k2-p", "k3-p"] = "auto",
-    overwrite: Overwrite = False,
-    as_json: Json = False,
-) -> None:
-    """Find the projector from scans by two calibrated cameras, without any target.
-
-    Leaves the rig with its projector in OUT, and NAME-projector.md and NAME-projector.png beside
-    it: figures, and a map of what the projector leaves unexplained.
-    Example: fringe3d calibrate projector --from scan-a --from scan-b --out rig.toml
+class ProjectorOptions(ScanOptions):
+    """What the user said on the command line.
 
     Parameters
     ----------
-    from_
-        Scan folder or scan file with a full Gray code, of something with depth; repeat it for
-        several scans of the same rig.
-    out
-        The rig file to write.
-    rig
-        Rig file with the two cameras, instead of the scan's own.
-    depth
-        MIN:MAX, mm along the principal ray of C1: use points in this range only.
     projector_size
         Projector pixels, WIDTHxHEIGHT, where neither plan nor rig says it.
     distortion
         Terms of the projector's lens; auto takes as many as improve points that were not fitted.
         p: p1 and p2; k2: k1 and k2; k3: k1, k2 and k3.
     """
-    from fringe3d.io.importing import parse_depth, parse_size
 
-    options = ProjectorOptions(
-        scans=tuple(from_),
-        out=out,
-        rig=rig,
-        images=tuple(images or ()),
-        depth_mm=parse_depth(depth) if depth else None,
-        projector_size=parse_size(projector_size) if projector_size else None,
-        lens=LENS_NAMES.get(distortion),
-        overwrite=overwrite,
-    )
-    with Reporter(quiet=as_json).running() as reporter:
-        text, record = calibrate_projector(options, reporter)
-    for finding in record["health"]:
-        if finding["level"] != "ok":
-            reporter.warn(finding["text"])
-    say(f"{text}\n\n-> {out}", record, as_json=as_json)
+    projector_size: str | None = None
+    distortion: Literal["auto", "none", "k1", "k1-p", "k2-p", "k3-p"] = "auto"
+
+    @property
+    def size(self) -> tuple[int, int] | None:
+        """Return the pixels of the projector, (width, height)."""
+        from fringe3d.io.importing import parse_size
+
+        return parse_size(self.projector_size) if self.projector_size else None
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ProjectorOptions(CalibrationOptions):
-    """What the user said on the command line; see ``fringe3d calibrate projector --help``."""
+@calibrate.command
+def projector(*, options: ProjectorOptions, as_json: Json = False) -> None:
+    """Find the projector from scans by two calibrated cameras, without any target.
 
-    projector_size: tuple[int, int] | None = None
-    lens: str | None = None
+    Takes scans with a full Gray code of something with depth. Leaves the rig with its projector in
+    OUT, and NAME-projector.md and NAME-projector.png beside it: figures, and a map of what the
+    projector leaves unexplained.
+    Example: fringe3d calibrate projector --from scan-a --from scan-b --out rig.toml
+    """
+    tell(lambda reporter: calibrate_projector(options, reporter), options.out, as_json=as_json)
 
 
 def calibrate_projector(
@@ -163,19 +114,19 @@ def calibrate_projector(
     )
 
     for target in reversed(targets_of(options.out)):
-        require_writable(target, overwrite=options.overwrite, inputs=options.scans)
+        require_writable(target, overwrite=options.overwrite, inputs=options.from_)
     scans = _read(options, reporter)
     rig = _common_rig(options, scans)
     shape = _projector_shape(options, rig, scans)
     measured = [
         _measured(path, scan, shape, options, reporter)
-        for path, scan in zip(options.scans, scans, strict=True)
+        for path, scan in zip(options.from_, scans, strict=True)
     ]
     lit = [points for points, _ in measured]
     n_stages = STAGES * len(scans) + 2
     reporter.stage("fitting the projector", of=n_stages)
     name = rig.projector.name if rig.projector else _free_name(rig)
-    lens = next((lens for lens in LENSES if lens == options.lens), None)
+    lens = next((lens for lens in LENSES if lens == LENS_NAMES.get(options.distortion)), None)
     fitted = fit_projector(lit, shape, lens=lens, name=name)
     findings = [finding for _, found in measured for finding in found]
     findings += check_fit(fitted, lit, rig)
@@ -199,34 +150,10 @@ def calibrate_projector(
     return projector_text(record), record | {"out": str(options.out)}
 
 
-def read_scans(options: CalibrationOptions, reporter: Reporter, /) -> list[Scan]:
-    """Read the scans that a calibration starts from.
-
-    Raises
-    ------
-    MethodError
-        If folders of images are named for some of the scans only.
-    """
-    from fringe3d.io.recording import read_scan
-
-    n_folders = len(options.images)
-    if n_folders not in (0, 1, len(options.scans)):
-        raise MethodError(
-            f"--images: expected one folder for all scans or one for each of the "
-            f"{len(options.scans)}, found {n_folders}. Leave some out"
-        )
-    folders: tuple[Path | None, ...] = options.images or (None,)
-    folders = folders * len(options.scans) if len(folders) == 1 else folders
-    return [
-        read_scan(path, images=images, rig=options.rig, progress=reporter.step)
-        for path, images in zip(options.scans, folders, strict=True)
-    ]
-
-
 def _read(options: ProjectorOptions, reporter: Reporter) -> list[Scan]:
     """Read the scans; each must have two calibrated cameras."""
     scans = read_scans(options, reporter)
-    for path, scan in zip(options.scans, scans, strict=True):
+    for path, scan in zip(options.from_, scans, strict=True):
         if scan.rig is None:
             raise MethodError(
                 f"{path}: expected a rig with two calibrated cameras, found none. Name one with "
@@ -248,10 +175,10 @@ def _common_rig(options: ProjectorOptions, scans: list[Scan]) -> Rig:
 
     rigs = [scan.rig for scan in scans if scan.rig is not None]
     texts = [rig_text(Rig(cameras=rig.cameras)) for rig in rigs]
-    for path, text in zip(options.scans, texts, strict=True):
+    for path, text in zip(options.from_, texts, strict=True):
         if text != texts[0]:
             raise RigError(
-                f"{path}: expected the cameras of {options.scans[0]}, found others. One "
+                f"{path}: expected the cameras of {options.from_[0]}, found others. One "
                 "calibration needs scans of one rig: calibrate each apart, or name the rig of all "
                 "with --rig"
             )
@@ -261,9 +188,9 @@ def _common_rig(options: ProjectorOptions, scans: list[Scan]) -> Rig:
 def _projector_shape(options: ProjectorOptions, rig: Rig, scans: list[Scan]) -> tuple[int, int]:
     """Return (n_rows, n_cols) as options, plans and rig say; they must agree."""
     said: dict[tuple[int, int], str] = {}
-    if options.projector_size is not None:
-        said[options.projector_size[1], options.projector_size[0]] = "--projector-size"
-    for path, scan in zip(options.scans, scans, strict=True):
+    if options.size is not None:
+        said[options.size[::-1]] = "--projector-size"
+    for path, scan in zip(options.from_, scans, strict=True):
         shape = scan.stacks[0].plan.projector_shape
         if shape is not None:
             said.setdefault(shape, str(path))
@@ -271,7 +198,7 @@ def _projector_shape(options: ProjectorOptions, rig: Rig, scans: list[Scan]) -> 
         said.setdefault(rig.projector.shape, f"the rig's projector '{rig.projector.name}'")
     if not said:
         raise PlanError(
-            f"{options.scans[0]}: expected the size of the projector, found it neither in the plan "
+            f"{options.from_[0]}: expected the size of the projector, found it neither in the plan "
             "nor in the rig. Say it: --projector-size WIDTHxHEIGHT"
         )
     if len(said) > 1:
@@ -300,7 +227,7 @@ def _measured(
     cameras_only = replace(scan.rig, projector=None, volume=None, covariance=None)
     bare = replace(scan, stacks=stacks, rig=cameras_only)
     wanted = MeasureOptions(method="m1", drop_edges=True, depth_mm=options.depth_mm)
-    n_stages = STAGES * len(options.scans) + 2
+    n_stages = STAGES * len(options.from_) + 2
     try:
         result = measure(bare, wanted, stage=lambda name: reporter.stage(name, of=n_stages))
     except MethodError as problem:

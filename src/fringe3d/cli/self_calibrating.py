@@ -7,13 +7,14 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 from cyclopts import Parameter
 
-from fringe3d.cli.calibrating import CalibrationOptions, Images, Scans, calibrate, read_scans
-from fringe3d.cli.console import Reporter, say
-from fringe3d.cli.parameters import Json, Overwrite, at_least
+from fringe3d.cli.calibrating import calibrate
+from fringe3d.cli.console import Reporter
+from fringe3d.cli.parameters import Json
+from fringe3d.cli.scan_options import SomeImagesOptions, read_scans, tell
 from fringe3d.errors import MethodError, RigError
 from fringe3d.model import Scan
 from fringe3d.options import MeasureOptions
@@ -25,72 +26,30 @@ MARK = "; poses from "
 """In the provenance of a rig: what follows is told anew by each self-calibration."""
 
 
+@Parameter(name="*")
 @dataclass(frozen=True, slots=True, kw_only=True)
-class SelfOptions(CalibrationOptions):
-    """What the user said on the command line; see ``fringe3d calibrate self --help``."""
+class SelfOptions(SomeImagesOptions):
+    """What the user said on the command line.
 
-    shifts: int | None = None
-    gray_bits: int | None = None
+    Parameters
+    ----------
+    known_length
+        X,Y:X,Y:MM: distance between the points at two pixels of the first scan's C1; the scale.
+    """
+
     known_length: str | None = None
 
 
 @calibrate.command(name="self")
-def self_(
-    *,
-    from_: Scans,
-    out: Path,
-    rig: Path | None = None,
-    images: Images = None,
-    depth: str | None = None,
-    shifts: int | None = None,
-    gray_bits: Annotated[int | None, Parameter(validator=at_least(0))] = None,
-    known_length: str | None = None,
-    overwrite: Overwrite = False,
-    as_json: Json = False,
-) -> None:
+def self_(*, options: SelfOptions, as_json: Json = False) -> None:
     """Find the poses of all devices again from scans of anything, without a target.
 
-    Leaves the rig in OUT. Lenses and the first camera stay as they are; the distance of the first
-    two devices gives the scale. It prints which numbers the scans determine.
+    Full Gray code in two directions determines most; something with depth more than a plane. Leaves
+    the rig in OUT. Lenses and the first camera stay as they are; the distance of the first two
+    devices gives the scale. It prints which numbers the scans determine.
     Example: fringe3d calibrate self --from scan --out rig.toml
-
-    Parameters
-    ----------
-    from_
-        Scan folder or scan file; repeat it for several scans of the same rig. Full Gray code in two
-        directions determines most; something with depth more than a plane.
-    out
-        The rig file to write.
-    rig
-        Rig file instead of the scan's own.
-    depth
-        MIN:MAX, mm along the principal ray of C1; needed where orders are not numbered.
-    shifts
-        Use only that many of the phase steps.
-    gray_bits
-        Use only the finest images of each Gray code; 0 for none.
-    known_length
-        X,Y:X,Y:MM: distance between the points at two pixels of the first scan's C1; the scale.
     """
-    from fringe3d.io.importing import parse_depth
-
-    options = SelfOptions(
-        scans=tuple(from_),
-        out=out,
-        rig=rig,
-        images=tuple(images or ()),
-        depth_mm=parse_depth(depth) if depth else None,
-        shifts=shifts,
-        gray_bits=gray_bits,
-        known_length=known_length,
-        overwrite=overwrite,
-    )
-    with Reporter(quiet=as_json).running() as reporter:
-        text, record = calibrate_self(options, reporter)
-    for finding in record["health"]:
-        if finding["level"] != "ok":
-            reporter.warn(finding["text"])
-    say(f"{text}\n\n-> {out}", record, as_json=as_json)
+    tell(lambda reporter: calibrate_self(options, reporter), options.out, as_json=as_json)
 
 
 def calibrate_self(options: SelfOptions, reporter: Reporter, /) -> tuple[str, dict[str, Any]]:
@@ -110,13 +69,10 @@ def calibrate_self(options: SelfOptions, reporter: Reporter, /) -> tuple[str, di
     from fringe3d.io.rigfile import rig_text
     from fringe3d.report.self_calibration import self_calibration_record, self_calibration_text
 
-    require_writable(options.out, overwrite=options.overwrite, inputs=options.scans)
+    require_writable(options.out, overwrite=options.overwrite, inputs=options.from_)
     length = parse_length(options.known_length) if options.known_length else None
     scans = read_scans(options, reporter)
-    wanted = MeasureOptions(
-        n_shifts=options.shifts, gray_bits=options.gray_bits, depth_mm=options.depth_mm
-    )
-    found = own_poses(scans, wanted, reporter, names=options.scans, length=length)
+    found = own_poses(scans, options.measuring, reporter, names=options.from_, length=length)
     write_text(options.out, rig_text(found.rig), overwrite=options.overwrite)
     record = self_calibration_record(found)
     return self_calibration_text(record), record | {"out": str(options.out)}

@@ -50,7 +50,8 @@ def simulate(
     thing
         plane, prism, machine-part, teeth, sphere, ball-bar, flat-plate, step-gauge, bust,
         two-bodies, thin-wire, hand, or a file: STL, PLY or OBJ, in mm. Or a board, as
-        chessboard:9x7:7mm, charuco:11x8:7mm:5mm or a board.toml, held into the volume.
+        chessboard:9x7:7mm, charuco:11x8:7mm:5mm, circles:9x7:7mm, asymmetric-circles:4x11:5mm or a
+        board.toml, held into the volume.
     plan
         What is projected: the images of a method, m0 to m6, or a plan.toml; m1 by default, m0 for a
         board.

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fringe3d.errors import PlanError
+from fringe3d.io.circle_images import measured_circles
 from fringe3d.model import Board
 
 Image = NDArray[np.unsignedinteger[Any]]
@@ -27,10 +28,14 @@ STOP = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 60, 1e-4)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Corners:
-    """Corners of a board in an image: numbers (n,) and pixels (n, 2), px, (x, y)."""
+    """Corners of a board in an image: numbers (n,) and pixels (n, 2), px, (x, y).
+
+    Of circles: the middles of their images, and their areas (n,), px^2, NaN where not known.
+    """
 
     ids: NDArray[np.int64]
     pixels: NDArray[np.float64]
+    areas: NDArray[np.float64] | None = None
 
     def __len__(self) -> int:
         return len(self.ids)
@@ -50,7 +55,7 @@ def find_corners(image: Image, board: Board, /) -> Corners:
     Notes
     -----
     Chessboard: OpenCV's sector-based detector, else its older one; each corner then refined on
-    the grey values around it. Circles: centres of blobs.
+    the grey values around it. Circles: blobs in a grid, then their centres of mass.
     """
     grey = _to_eight_bits(image)
     if board.kind == "charuco":
@@ -143,7 +148,8 @@ def _circles(grey: NDArray[np.uint8], board: Board) -> Corners:
                 image, size, flags=flags | more, blobDetector=_blobs(grey.size)
             )
             if is_found:
-                return _all_corners(centers, board)
+                begun = _all_corners(centers, board)
+                return Corners(begun.ids, *measured_circles(grey, begun.pixels))
     return NONE
 
 

@@ -21,6 +21,9 @@ WHITE, BLACK = 0.8, 0.06
 PARTS = 4
 """Facets along each side of a square, so that a bent one is not flat."""
 
+CIRCLE, CIRCLE_FACETS = 0.3, 64
+"""Radius of a circle, part of the distance of neighbours, and the facets around it."""
+
 CELL_PX = 16
 """Resolution at which OpenCV draws a ChArUco board, px for a cell of a marker."""
 
@@ -56,44 +59,68 @@ def printed_board(
 
     Parameters
     ----------
-    board : Board; chessboard or ChArUco
+    board : Board
     bend_mm : float, mm; by how much its rim stands away from the devices, beyond the middle
     print_error_mm : float, mm; standard deviation of the corners' places, along x and y each
     seed : int; of the print
 
-    Raises
-    ------
-    ValueError
-        If the board is of another kind.
-
     Notes
     -----
-    Between corners the print error is bilinear. The bend is a paraboloid over the corners.
+    Between corners the print error is bilinear. The bend is a paraboloid over the corners. Circles
+    are black, with a radius of `CIRCLE` of the distance of neighbours.
     """
-    if board.kind not in ("chessboard", "charuco"):
-        raise ValueError(f"board: expected a chessboard or charuco to simulate, found {board.kind}")
     shape = _Shape.of(board, bend_mm, print_error_mm, seed)
+    flat, is_black = _circle_facets(board) if "circles" in board.kind else _square_facets(board)
+    vertices = shape.place(flat).reshape(-1, 3)
+    first = 4 * np.arange(len(flat))[:, None]
+    front = np.array([[0, 2, 1], [0, 3, 2]])  # which faces -z
+    faces = np.concatenate([first + three for three in front]).astype(np.int32)
+    a, b, c = np.moveaxis(vertices[faces], 1, 0)
+    has_area = np.linalg.norm(np.cross(b - a, c - a), axis=1) > 0
+    albedo = np.where(is_black, BLACK, WHITE).repeat(4).astype(np.float32)
+    return PrintedBoard(
+        board=board,
+        points_mm=shape.place(board.points_mm[:, :2]),
+        mesh=Mesh(vertices_mm=vertices, faces=faces[has_area], albedo=albedo),
+    )
+
+
+def _square_facets(board: Board) -> tuple[Floats, NDArray[np.bool_]]:
+    """Return the facets of a board of squares: corners (n, 4, 2), mm, and which are black."""
     lines = _lines(board)
     x, y = (
         np.concatenate([(square - 1 + lines[:-1]) for square in range(n + 1)] + [[float(n)]])
         for n in (board.n_cols, board.n_rows)
     )
-    x, y = x * board.pitch_mm, y * board.pitch_mm
     grid = np.stack(np.meshgrid(x, y), axis=-1)
-    places = shape.place(grid)
-    corners = [places[:-1, :-1], places[:-1, 1:], places[1:, 1:], places[1:, :-1]]
-    vertices = np.stack(corners, axis=2).reshape(-1, 3)
-    first = 4 * np.arange(len(vertices) // 4)[:, None]
-    front = np.array([[0, 2, 1], [0, 3, 2]])  # which faces -z
-    faces = np.concatenate([first + three for three in front]).astype(np.int32)
-    middles = (grid[:-1, :-1] + grid[1:, 1:]) / 2
-    is_black = _is_black(board, middles / board.pitch_mm + 1).ravel()
-    albedo = np.where(is_black, BLACK, WHITE).repeat(4).astype(np.float32)
-    return PrintedBoard(
-        board=board,
-        points_mm=shape.place(board.points_mm[:, :2]),
-        mesh=Mesh(vertices_mm=vertices, faces=faces, albedo=albedo),
-    )
+    corners = [grid[:-1, :-1], grid[:-1, 1:], grid[1:, 1:], grid[1:, :-1]]
+    is_black = _is_black(board, (grid[:-1, :-1] + grid[1:, 1:]) / 2 + 1).ravel()
+    return np.stack(corners, axis=2).reshape(-1, 4, 2) * board.pitch_mm, is_black
+
+
+def _circle_facets(board: Board) -> tuple[Floats, NDArray[np.bool_]]:
+    """Return the facets of circles, each in the middle of a cell: as those of squares."""
+    angle = 2 * np.pi * np.arange(CIRCLE_FACETS + 1) / CIRCLE_FACETS
+    way = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    chord = 2 * np.pi / CIRCLE_FACETS
+    rim = CIRCLE * _gap(board) * np.sqrt(chord / np.sin(chord)) * way  # as large as the circle
+    edge = way / (2 * np.abs(way).max(axis=1, keepdims=True))
+    rings = np.stack([0 * rim, rim / 2, rim, (rim + edge) / 2, edge])
+    quads = [rings[:-1, :-1], rings[:-1, 1:], rings[1:, 1:], rings[1:, :-1]]
+    cell = np.stack(quads, axis=2)[:, :, ::-1]
+    inside = np.repeat([True, True, False, False], CIRCLE_FACETS)
+    places = board.points_mm[:, :2] / board.pitch_mm
+    n_cols, n_rows = np.round(places.max(axis=0)).astype(int)
+    cells = np.stack(np.meshgrid(np.arange(-1, n_cols + 2), np.arange(-1, n_rows + 2)), axis=-1)
+    middles = cells.reshape(-1, 2)
+    has_circle = (middles[:, None] == np.round(places)).all(axis=2).any(axis=1)
+    flat = cell.reshape(1, -1, 4, 2) + middles[:, None, None]
+    return flat.reshape(-1, 4, 2) * board.pitch_mm, (has_circle[:, None] & inside).ravel()
+
+
+def _gap(board: Board) -> float:
+    """Return the distance of neighbouring circles, pitches."""
+    return float(np.sqrt(2)) if board.kind == "asymmetric-circles" else 1.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -109,14 +136,15 @@ class _Shape:
     def of(board: Board, bend_mm: float, print_error_mm: float, seed: int) -> _Shape:
         flat = board.points_mm[:, :2]
         middle = (flat[0] + flat[-1]) / 2
-        lines = [np.arange(-1, n + 1) * board.pitch_mm for n in (board.n_cols, board.n_rows)]
+        ends = np.round(flat.max(axis=0) / board.pitch_mm).astype(int)
+        lines = [np.arange(-1, end + 2) * board.pitch_mm for end in ends]
         rng = np.random.default_rng(seed)
         errors = print_error_mm * rng.standard_normal((*map(len, lines), 2))
         return _Shape(
             middle,
             float(np.linalg.norm(flat[-1] - middle)),
             bend_mm,
-            RegularGridInterpolator(lines, errors),
+            RegularGridInterpolator(lines, errors, bounds_error=False, fill_value=None),
         )
 
     def place(self, flat: Floats) -> Floats:
