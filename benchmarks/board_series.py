@@ -22,6 +22,7 @@ from scipy.spatial.transform import Rotation
 
 from fringe3d.board_scans import board_image, views_of_scan
 from fringe3d.calibrate import (
+    BOARD_LENSES,
     BoardCalibration,
     BoardOptions,
     BoardView,
@@ -43,7 +44,7 @@ Floats = NDArray[np.float64]
 
 N_POSES = 12
 NOISE_PX = 0.05
-GRID = 7
+GRID = 9
 
 
 @dataclass(frozen=True)
@@ -130,11 +131,12 @@ def _in_first(device: Device, first: Device) -> Device:
 
 
 def _volume(preset: Preset) -> Floats:
-    """Return points in the middle three quarters of the measuring volume, world frame, mm."""
-    side = 0.75 * preset.diameter_mm / np.sqrt(2)
-    x = np.linspace(-side / 2, side / 2, GRID)
+    """Return points all over the measuring volume, world frame, mm."""
+    x = np.linspace(-0.5, 0.5, GRID) * preset.diameter_mm
     z = np.linspace(-0.48, 0.48, GRID) * preset.height_mm
-    return np.stack(np.meshgrid(x, x, z), axis=-1).reshape(-1, 3)
+    points = np.stack(np.meshgrid(x, x, z), axis=-1).reshape(-1, 3)
+    assert preset.rig.volume is not None
+    return np.asarray(points[preset.rig.volume.contains(points)])
 
 
 def _w(true: Sequence[Device], found: Sequence[Device], points: Floats) -> Floats:
@@ -172,6 +174,7 @@ def main() -> None:
     parser.add_argument("--camera-size", default="640x512")
     parser.add_argument("--bend", type=float, default=0.0)
     parser.add_argument("--shape", choices=("flat", "bent", "free"))
+    parser.add_argument("--lens", choices=BOARD_LENSES)
     parser.add_argument("--raw-circles", action="store_true", help="middles of ellipses")
     options = parser.parse_args()
     size = tuple(map(int, options.camera_size.split("x")))
@@ -189,7 +192,7 @@ def main() -> None:
             views = projected_views(preset, board, thing.points_mm, seed)
         else:
             views = rendered_views(preset, board, thing, seed, raw_circles=options.raw_circles)
-        wanted = BoardOptions(lens="k1 k2 p1 p2 k3", shape=options.shape)
+        wanted = BoardOptions(lens=options.lens, shape=options.shape)
         found = calibrate_board(board, views, sizes, wanted)
         one = judged(found, preset)
         all_found.append(one)
