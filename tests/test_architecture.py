@@ -65,6 +65,8 @@ ALLOWED: dict[str, set[str]] = {
     "session": NOUNS | {"correspond", "io", "options", "pipeline"},
     # What recordings tell of a rig: it decodes and solves as a measurement does.
     "rig_bias": NOUNS | {"correspond", "decode", "matching", "options"},
+    # Orders that a moved rig does not tell: it weighs them as a measurement does.
+    "pose_search": NOUNS | {"correspond", "decode", "geometry", "matching"},
     # The poses that recordings show: it decodes and matches as a measurement does.
     "self_calibration": NOUNS
     | {
@@ -77,6 +79,7 @@ ALLOWED: dict[str, set[str]] = {
         "methods",
         "options",
         "patterns",
+        "pose_search",
     },
     # What scans of a board show: it decodes them and hands the corners' light to the calibration.
     "board_scans": NOUNS | {"calibrate", "decode"},

@@ -276,6 +276,31 @@ def test_scans_restore_the_sigma_of_a_plane(scans: Path) -> None:
     assert plane_sigma(scans, one.rig) < 1.15 * best
 
 
+def test_four_images_without_a_code_find_poses_and_their_orders_again(
+    scans: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A fringe order is a quarter of a pixel; the moved rig sees points farther beside than that.
+
+    With the true rig M6 finds 88.5 % of what both cameras see, with its own poses 87.4 %.
+    """
+    from fringe3d.io.recording import read_scan
+
+    monkeypatch.setattr("fringe3d.pose_search.REACH_PX", 2.4)
+    scan, moved = read_scan(scans / "machine-part"), read_rig(scans / "moved.toml")
+    options = MeasureOptions(method="m6", direction="x", gray_bits=0)
+    found = self_calibrate([scan], moved, options)
+    assert found.fitted.residual_before_px > 0.5
+    assert found.fitted.residual_px < 0.05
+    truth = np.load(scans / "machine-part" / "truth.npz")
+    result = measure(replace(scan, rig=found.rig), options)
+    assert result.matches is not None
+    good = (result.rejection == 0) & truth["lit"]
+    right = result.matches.fringe_order[good] == truth["fringe_order"][good]
+    assert right.mean() > 0.99
+    both_see = truth["lit"] & truth["in_volume"] & truth["seen_by_c2"]
+    assert right.sum() > 0.86 * both_see.sum()
+
+
 def test_measure_finds_its_own_poses_and_leaves_them_with_the_result(
     scans: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +30,7 @@ from fringe3d.methods import choose_method, images_of, settle
 from fringe3d.model import NO_ORDER, Correspondences, Device, PhaseMap, Rejection, Rig, Scan
 from fringe3d.options import MeasureOptions, keep_images, volume_of
 from fringe3d.patterns import across
+from fringe3d.pose_search import LEAST_CERTAINTY, fit_as_it_is, fit_turned
 
 Floats = NDArray[np.float64]
 
@@ -98,6 +100,11 @@ class _Recording:
             return all(m.is_absolute for i in range(len(self.phases)) for m in self.maps_of(i)[:2])
         return False
 
+    @property
+    def is_numbered(self) -> bool:
+        """Tell whether a code or a second direction says which fringe is which."""
+        return self.method != "m6" or self.maps[0].is_absolute
+
     def maps_of(self, camera: int) -> list[PhaseMap]:
         """Return those of a camera for the same periods."""
         pairs = zip(self.phases[camera].directions, self.maps, strict=True)
@@ -151,13 +158,18 @@ def self_calibrate(
         step(work, number, n_steps)
         recordings.append(_decoded(scan, rig, options))
     before = _devices(rig, recordings)
+    is_numbered = any(r.is_numbered for r in recordings)
     fitted, found = None, rig
+    if not is_numbered:
+        found = _with_orders(recordings, rig, options, step)
     for number in range(1 if all(r.is_free for r in recordings) else ROUNDS):
         step(work, len(scans) + number, n_steps)
         points = [_homologous(r, found, options) for r in recordings]
-        near = fitted.devices if fitted is not None else None
+        near = fitted.devices if fitted is not None else _devices(found, recordings)
         fitted = fit_poses(points, before, near=near)
         found = _with(rig, fitted.devices)
+        if not is_numbered and number < ROUNDS - 1:
+            found = _with_orders(recordings, found, options)
     step(work, n_steps, n_steps)
     assert fitted is not None
     factor = 1.0
@@ -213,6 +225,36 @@ def _sparse(phases: PhaseMap) -> PhaseMap:
     left_out = np.full(phases.rejection.shape, np.uint16(Rejection.NO_MATCH))
     left_out[::step, ::step] = 0
     return phases.rejecting(left_out)
+
+
+def _with_orders(
+    recordings: Sequence[_Recording],
+    rig: Rig,
+    options: MeasureOptions,
+    step: Callable[[str, int, int], object] | None = None,
+) -> Rig:
+    """Return a rig with a bias that fits the fringe orders; with a `step` C2 may be turned for it.
+
+    Raises
+    ------
+    MethodError
+        If none fits, or several do.
+    """
+    phases = [r.phases[:2] for r in recordings]
+    volume = volume_of(rig, phases[0][0].device_name, options)
+    assert volume is not None  # without one nothing is measured by M6
+    if step is None:
+        fit = fit_as_it_is(phases, rig, volume)
+    else:
+        fit = fit_turned(phases, rig, volume, step=partial(step, "trying turns"))
+    if fit is None or fit.certainty < LEAST_CERTAINTY:
+        several = "none" if fit is None else f"several (the best is {fit.certainty:.0%} likely)"
+        raise MethodError(
+            f"self-calibration: expected fringe orders that go with one place of the devices, found "
+            f"{several}. The images have no code: take scans with steps and slopes all over the "
+            "image, or record a Gray code or a second direction"
+        )
+    return fit.rig
 
 
 def _decoded(scan: Scan, rig: Rig, options: MeasureOptions) -> _Recording:
