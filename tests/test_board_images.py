@@ -278,7 +278,7 @@ def test_plain_images_need_no_description(
         image = cv2.imread(str(series / f"pose-{number}" / "c1" / "000.png"), cv2.IMREAD_UNCHANGED)
         assert image is not None
         cv2.imwrite(str(tmp_path / "left" / f"im{number:02d}.png"), image)
-    cv2.imwrite(str(tmp_path / "right" / "07.png"), image)
+    (tmp_path / "right" / "07.png").write_bytes((tmp_path / "left" / "im12.png").read_bytes())
     call = ("calibrate", tmp_path, "--board", "chessboard:8x6:20mm", "--json", "--out")
     assert run(*call, tmp_path / "a.toml", "--camera", "left=left/im{index:02d}.png") == 0
     found = json.loads(capsys.readouterr().out)

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from board_series import C1, C2, PROJECTOR
 from cv_lens import cv_project, cv_rays
-from fringe3d.calibrate import Homologous, Sight, check_poses, fit_poses, located
+from fringe3d.calibrate import Homologous, Sight, ball_center, check_poses, fit_poses, located
 from fringe3d.cli.run import main
 from fringe3d.errors import EmptyResultError, MethodError
 from fringe3d.evaluate import fit_plane
@@ -343,6 +343,65 @@ def test_a_known_length_gives_the_scale(scans: Path) -> None:
     true = read_rig(scans / "plane" / "rig.toml")
     before = np.linalg.norm(true.cameras[1].center_world - true.cameras[0].center_world)
     assert np.linalg.norm(c2.center_world - c1.center_world) == pytest.approx(2 * before, rel=2e-3)
+
+
+def test_a_ball_bar_gives_the_scale(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The distance of the cameras, wrong by 1 %, comes back; so does the bar's, by its own mesh."""
+    pytest.importorskip("embreex")
+    from fringe3d.simulate import OBJECTS, PRESETS
+
+    scan = tmp_path / "scan"
+    main(["simulate", "kolibri", "--object", "ball-bar", "--plan", "m1", "--camera-size", "320x256",
+          "--out", str(scan)])  # fmt: skip
+    preset = PRESETS["kolibri"]((320, 256))
+    scene = preset.scene(OBJECTS["ball-bar"]())
+    centers = scene.world_from_object.apply(scene.thing.spheres[:, :3])
+    mm = float(np.linalg.norm(centers[1] - centers[0]))
+    true = read_rig(scan / "rig.toml")
+    tops = centers + np.array([0, 0, 0.5 * scene.thing.spheres[0, 3]])
+    pixels = np.round(cv_project(true.cameras[0], tops)).astype(int)
+    assert true.projector is not None
+    c1, c2, projector = with_distance_of((*true.cameras, true.projector), _grown(true, 1.01))
+    wrong = replace(true, cameras=(c1, c2), projector=projector)
+    from fringe3d.io.rigfile import rig_text
+
+    (tmp_path / "wrong.toml").write_text(rig_text(wrong))
+    words = ":".join([*(f"{x},{y}" for x, y in pixels), f"{mm:.5f}"])
+    out = tmp_path / "rig.toml"
+    main(["calibrate", "self", "--from", str(scan), "--rig", str(tmp_path / "wrong.toml"),
+          "--ball-bar", words, "--out", str(out), "--json"])  # fmt: skip
+    record = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert record["scale"] == "known length"
+    found = read_rig(out)
+    apart = [np.linalg.norm(r.cameras[1].center_world - r.cameras[0].center_world)
+             for r in (found, true)]  # fmt: skip
+    assert apart[0] == pytest.approx(apart[1], rel=1e-3)
+
+
+def test_a_ball_is_told_from_what_is_beside_it_and_from_a_plane() -> None:
+    """A cap above a table, with noise; the centre is known to its sigma, noise / sqrt(n) and so."""
+    rng = np.random.default_rng(0)
+    pixels = np.stack(np.meshgrid(np.arange(100.0), np.arange(80.0)), axis=-1).reshape(-1, 2)
+    x, y = (0.5 * (pixels - [40, 40])).T
+    z = np.where(x**2 + y**2 < 9.5**2, 12 + np.sqrt(np.maximum(100 - x**2 - y**2, 0)), 0.0)
+    points = np.column_stack([x, y, z + rng.normal(0, 0.01, len(x))])
+    points[5] = np.nan
+    np.testing.assert_allclose(ball_center(points, pixels, (42, 38)), [0, 0, 12], atol=0.01)
+    with pytest.raises(EmptyResultError, match="60 points on it at least, found 0"):
+        ball_center(points, pixels, (-50, 0))
+    for noise in (0.01, 2.0):
+        plane = np.column_stack([x, y, rng.normal(0, noise, len(x))])
+        with pytest.raises(EmptyResultError, match="expected a sphere"):
+            ball_center(plane, pixels, (50, 40))
+
+
+def _grown(rig: Rig, factor: float) -> tuple[Device, ...]:
+    """Return C1 and a second device that many times as far away."""
+    c1, c2 = rig.cameras
+    pose = c2.device_from_world
+    center = c1.center_world + factor * (c2.center_world - c1.center_world)
+    moved = RigidTransform(rotation=pose.rotation, translation=-pose.rotation @ center)
+    return c1, replace(c2, device_from_world=moved)
 
 
 def test_a_known_length_needs_points_at_its_ends() -> None:

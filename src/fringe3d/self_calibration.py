@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from fringe3d.calibrate import (
     FittedPoses,
     Homologous,
+    ball_center,
     contradiction,
     fit_poses,
     homologous_points,
@@ -49,17 +50,19 @@ NEAR_PX = 3.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class KnownLength:
-    """A known distance between two points of the first scan.
+    """A known distance between two points of the first scan, or the centres of two balls.
 
     Parameters
     ----------
-    first_px, second_px : (x, y), px, in C1
+    first_px, second_px : (x, y), px, in C1; the points, or any on the balls
     length_mm : float, mm, > 0
+    of_balls : bool
     """
 
     first_px: tuple[float, float]
     second_px: tuple[float, float]
     length_mm: float
+    of_balls: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -250,7 +253,7 @@ def _with_orders(
     if fit is None or fit.certainty < LEAST_CERTAINTY:
         several = "none" if fit is None else f"several (the best is {fit.certainty:.0%} likely)"
         raise MethodError(
-            f"self-calibration: expected fringe orders that go with one place of the devices, found "
+            "self-calibration: expected fringe orders that go with one place of the devices, found "
             f"{several}. The images have no code: take scans with steps and slopes all over the "
             "image, or record a Gray code or a second direction"
         )
@@ -402,14 +405,19 @@ def _freely(
 
 
 def distance_of(length: KnownLength, points: Homologous, devices: Sequence[Device], /) -> float:
-    """Return the distance of two points with the poses found, mm.
+    """Return the distance of two points, or of two balls, with the poses found, mm.
 
     Raises
     ------
     EmptyResultError
-        If there is no point near one of the ends.
+        If there is no point near one of the ends, or no ball.
     """
     ends = []
+    if length.of_balls:
+        cloud = located(points, devices)
+        for pixel in (length.first_px, length.second_px):
+            ends.append(ball_center(cloud, points.pixels_c1, pixel))
+        return float(np.linalg.norm(ends[1] - ends[0]))
     for pixel in (length.first_px, length.second_px):
         away = np.linalg.norm(points.pixels_c1 - np.asarray(pixel, np.float64), axis=1)
         nearest = int(np.argmin(away))

@@ -4,6 +4,7 @@ from fringe3d.calibrate._board_lens import BOARD_LENSES, BoardLens, BoardLensTri
 from fringe3d.calibrate._board_shape import SHAPES, BoardShape, ShapeTrial
 from fringe3d.calibrate._lens import LENSES, Lens, LensTrial
 from fringe3d.calibrate._parameters import Parameter
+from fringe3d.calibrate.ball import ball_center
 from fringe3d.calibrate.board import BoardCalibration, BoardOptions, DeviceSize, calibrate_board
 from fringe3d.calibrate.board_judging import (
     PoseLeftOut,
@@ -50,6 +51,7 @@ __all__ = [
     "RigComparison",
     "ShapeTrial",
     "Sight",
+    "ball_center",
     "calibrate_board",
     "check_board",
     "check_fit",

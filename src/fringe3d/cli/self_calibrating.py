@@ -35,9 +35,12 @@ class SelfOptions(SomeImagesOptions):
     ----------
     known_length
         X,Y:X,Y:MM: distance between the points at two pixels of the first scan's C1; the scale.
+    ball_bar
+        X,Y:X,Y:MM: distance between the centres of the balls on which these pixels lie; the scale.
     """
 
     known_length: str | None = None
+    ball_bar: str | None = None
 
 
 @calibrate.command(name="self")
@@ -70,7 +73,12 @@ def calibrate_self(options: SelfOptions, reporter: Reporter, /) -> tuple[str, di
     from fringe3d.report.self_calibration import self_calibration_record, self_calibration_text
 
     require_writable(options.out, overwrite=options.overwrite, inputs=options.from_)
-    length = parse_length(options.known_length) if options.known_length else None
+    if options.known_length and options.ball_bar:
+        raise MethodError(
+            "--ball-bar: expected one length for the scale, found --known-length, too"
+        )
+    told = options.ball_bar or options.known_length
+    length = parse_length(told, of_balls=bool(options.ball_bar)) if told else None
     scans = read_scans(options, reporter)
     found = own_poses(scans, options.measuring, reporter, names=options.from_, length=length)
     write_text(options.out, rig_text(found.rig), overwrite=options.overwrite)
@@ -111,8 +119,8 @@ def own_poses(
     return replace(found, rig=replace(found.rig, provenance=told))
 
 
-def parse_length(text: str, /) -> KnownLength:
-    """Return the length of ``--known-length``.
+def parse_length(text: str, /, *, of_balls: bool = False) -> KnownLength:
+    """Return the length of ``--known-length``, or of ``--ball-bar``.
 
     Examples
     --------
@@ -124,11 +132,12 @@ def parse_length(text: str, /) -> KnownLength:
     numbers = [float(part) if _is_number(part) else math.nan for part in re.split("[,:]", text)]
     has_form = [len(part.split(",")) for part in text.split(":")] == [2, 2, 1]
     if not has_form or not all(math.isfinite(n) for n in numbers) or numbers[-1] <= 0:
+        option = "--ball-bar" if of_balls else "--known-length"
         raise MethodError(
-            f"--known-length: expected two pixels of C1 and mm, as 120,80:400,85:50, found '{text}'"
+            f"{option}: expected two pixels of C1 and mm, as 120,80:400,85:50, found '{text}'"
         )
     x1, y1, x2, y2, length = numbers
-    return KnownLength(first_px=(x1, y1), second_px=(x2, y2), length_mm=length)
+    return KnownLength(first_px=(x1, y1), second_px=(x2, y2), length_mm=length, of_balls=of_balls)
 
 
 def _is_number(text: str) -> bool:
