@@ -6,12 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 from test_self_calibration import BOTH, ONE, kicked, points_in_space, seen
 
 from board_series import C1, C2, PROJECTOR
 from closed_form import Recording
-from fringe3d.calibrate import moved_text, which_moved
-from fringe3d.model import Device, Rig
+from fringe3d.calibrate import contradiction, expected_contradiction, moved_text, which_moved
+from fringe3d.model import Device, Rig, RigCovariance, RigidTransform
 from fringe3d.pipeline import measure
 
 pytestmark = pytest.mark.usefixtures("one_thread")
@@ -65,3 +67,61 @@ def test_measure_says_that_devices_moved(rig: Rig, recording: Recording) -> None
     assert len(told) == 1
     assert "moved since the calibration" in told[0].text
     assert told[0].value > 0.5
+
+
+def test_the_limit_follows_from_the_covariance_of_the_calibration(
+    rig: Rig, recording: Recording
+) -> None:
+    """A fifth of a usual knock: below 0.5 px, but far more than what the calibration may miss."""
+    scan, _ = recording
+    assert rig.projector is not None
+    names = [f"{d.name}.{n}" for d in rig.devices for n in ("cx", "cy", "turn_z")]
+    sigma = np.array([0.05, 0.05, 1e-5] * len(rig.devices))
+    known = RigCovariance(names=tuple(names), matrix=np.diag(sigma**2))
+    poorly = RigCovariance(names=tuple(names), matrix=np.diag((10 * sigma) ** 2))
+    moved = replace(rig, projector=kicked(rig.projector, 5, deg=0.01, mm=0.02))
+    for found, is_told in (
+        (replace(rig, covariance=known), False),
+        (replace(moved, covariance=known), True),
+        (replace(moved, covariance=poorly), False),
+        (moved, False),
+    ):
+        findings = measure(replace(scan, rig=found)).findings
+        by_name = {f.name: f for f in findings}
+        assert ("moved_px" in by_name) == is_told
+        assert is_told == any(f.level != "ok" and "moved" in f.text for f in findings)
+        if found.covariance is not None and not is_told:
+            assert by_name["contradiction_px"].level == "ok"
+
+
+def test_the_expected_contradiction_is_that_of_sampled_calibrations() -> None:
+    """Devices drawn from the covariance; what calibration and noise add is counted together."""
+    cloud = seen(points_in_space(400, 5), BOTH, noise_px=0.05)
+    rng = np.random.default_rng(0)
+    names = [f"{d.name}.{n}" for d in DEVICES for n in ("fx", "cx", "k1")]
+    names += [f"{d.name}.{n}" for d in DEVICES[1:] for n in ("turn_y", "shift_z")]
+    sigma = np.array([0.5, 0.3, 1e-3] * 3 + [1e-4, 0.05] * 2)
+    mixed = np.eye(len(names)) + 0.3 * rng.normal(size=(len(names), len(names)))
+    root = sigma[:, None] * mixed
+    covariance = RigCovariance(names=tuple(names), matrix=root @ root.T)
+    found = []
+    for _ in range(60):
+        drawn = dict(zip(names, root @ rng.normal(size=len(names)), strict=True))
+        found.append(contradiction([cloud], [drawn_device(d, drawn) for d in DEVICES]))
+    typical = float(np.sqrt(np.mean(np.square(found))))
+    assert expected_contradiction(cloud, DEVICES, covariance) == pytest.approx(typical, rel=0.15)
+
+
+def drawn_device(own: Device, change: dict[str, float]) -> Device:
+    def get(*numbers: str) -> NDArray[np.float64]:
+        return np.array([change.get(f"{own.name}.{n}", 0.0) for n in numbers])
+
+    turn = Rotation.from_rotvec(get("turn_x", "turn_y", "turn_z")).as_matrix()
+    small = RigidTransform(rotation=turn, translation=get("shift_x", "shift_y", "shift_z"))
+    return replace(
+        own,
+        focal_px=own.focal_px + get("fx", "fy"),
+        center_px=own.center_px + get("cx", "cy"),
+        distortion=own.distortion + np.r_[get("k1"), np.zeros(len(own.distortion) - 1)],
+        device_from_world=small @ own.device_from_world,
+    )

@@ -194,7 +194,9 @@ def measure(
             findings += check_texture(matches, main, main2, camera, other)
             if projector is not None:
                 findings += check_trinocular(points, main, projector)
-                findings += check_moved(findings, phases, matches, (camera, other, projector))
+                findings += check_moved(
+                    findings, phases, matches, (camera, other, projector), scan.rig.covariance
+                )
         points = _clean(points, options, main)
         if main.is_quantised:
             points = remove_repeated(points, matches)

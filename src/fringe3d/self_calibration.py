@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -14,6 +14,7 @@ from fringe3d.calibrate import (
     Homologous,
     ball_center,
     contradiction,
+    expected_contradiction,
     fit_poses,
     homologous_points,
     located,
@@ -28,7 +29,16 @@ from fringe3d.health import EPIPOLAR_WARNING_PX, Finding
 from fringe3d.health.finding import Level
 from fringe3d.matching import best_direction_first, match
 from fringe3d.methods import choose_method, images_of, settle
-from fringe3d.model import NO_ORDER, Correspondences, Device, PhaseMap, Rejection, Rig, Scan
+from fringe3d.model import (
+    NO_ORDER,
+    Correspondences,
+    Device,
+    PhaseMap,
+    Rejection,
+    Rig,
+    RigCovariance,
+    Scan,
+)
 from fringe3d.options import MeasureOptions, keep_images, volume_of
 from fringe3d.patterns import across
 from fringe3d.pose_search import LEAST_CERTAINTY, fit_as_it_is, fit_turned
@@ -43,6 +53,12 @@ CONTRADICTIONS = ("epipolar_residual_px", "trinocular_residual_px", "lost_part")
 
 SPARSE_POINTS = 30_000
 """Pixels of C1 that are enough to tell which device moved."""
+
+FEW_POINTS = 4_000
+"""Pixels of C1 that are enough to tell whether one did."""
+
+LIMIT_FACTOR, LEAST_LIMIT_PX = 3.0, 0.1
+"""Of what calibration and noise let expect; and what response and interreflection may add."""
 
 NEAR_PX = 3.0
 """How far from a pixel of C1 the point may be that a known length begins at."""
@@ -192,9 +208,10 @@ def check_moved(
     phases: Sequence[CameraPhases],
     matches: Correspondences,
     devices: Sequence[Device],
+    covariance: RigCovariance | None = None,
     /,
 ) -> list[Finding]:
-    """Say which device moved, where other checks found that the rig does not fit.
+    """Say which device moved, where devices contradict each other by more than the calibration.
 
     Parameters
     ----------
@@ -202,23 +219,73 @@ def check_moved(
     phases : CameraPhases of two cameras; the direction that was matched first
     matches : Correspondences of the second camera
     devices : the cameras of `phases`, then the projector if there is one
+    covariance : RigCovariance or None
+        Of the calibration: the limit of the contradictions follows from it. Without one what other
+        checks found is asked, and the limit is 0.5 px.
     """
     found = [f for f in findings if f.name in CONTRADICTIONS and f.level != "ok"]
     maps = [direction.main for direction in phases[0].directions]
-    if not found or len(devices) < 3 or any(m.is_quantised for m in maps):
+    if len(devices) < 3 or any(m.is_quantised for m in maps):
         return []
+    limit, judged = EPIPOLAR_WARNING_PX, []
+    try:
+        if covariance is not None:
+            limit, value = _limit(phases, matches, devices, covariance)
+            if value < limit:
+                text = f"devices contradict each other by {value:.2f} px, at most {limit:.2f} px"
+                judged = [Finding("ok", "contradiction_px", value, f"{text} by the calibration")]
+            elif not found:
+                return _moved(phases, matches, devices, limit, level="warning")
+        if not found or judged:
+            return judged
+    except EmptyResultError:
+        pass
+    is_error = any(f.level == "error" for f in found)
+    return _moved(phases, matches, devices, limit, level="error" if is_error else "warning")
+
+
+def _limit(
+    phases: Sequence[CameraPhases],
+    matches: Correspondences,
+    devices: Sequence[Device],
+    covariance: RigCovariance,
+) -> tuple[float, float]:
+    """Return how far devices may contradict each other, and how far they do, px."""
+    few = np.zeros(matches.rejection.shape, bool)
+    step = max(1, round(np.sqrt(few.size / FEW_POINTS)))
+    few[::step, ::step] = True
+    sparse = replace(matches, rejection=np.where(few, matches.rejection, Rejection.NO_MATCH))
+    points = homologous_of(phases[:2], sparse, devices)
+    value = contradiction([points], devices)
+    if value < LEAST_LIMIT_PX:
+        return LEAST_LIMIT_PX, value
+    expected = LIMIT_FACTOR * expected_contradiction(points, devices, covariance)
+    return float(np.clip(expected, LEAST_LIMIT_PX, EPIPOLAR_WARNING_PX)), value
+
+
+def _moved(
+    phases: Sequence[CameraPhases],
+    matches: Correspondences,
+    devices: Sequence[Device],
+    limit_px: float,
+    *,
+    level: Level,
+) -> list[Finding]:
+    """Say which device moved; nothing below the limit."""
+    maps = [direction.main for direction in phases[0].directions]
     pairs = zip(phases[1].directions, maps, strict=True)
     sparse = [_sparse(m) for m in maps]
     matches = _freely(sparse, [d.like(m) for d, m in pairs], devices) or matches
     points = [homologous_of(phases[:2], matches, devices)]
     try:
-        if contradiction(points, devices) < EPIPOLAR_WARNING_PX:
+        if contradiction(points, devices) < limit_px:
             return []
         moved = which_moved(points, devices)
     except EmptyResultError:
         return []
-    level: Level = "error" if any(f.level == "error" for f in found) else "warning"
-    advice = "Calibrate again (--self-calibrate)"
+    if moved.residual_px < EPIPOLAR_WARNING_PX and not moved.is_of_poses:
+        return []  # what is left is that of fringes, not of poses
+    advice = f"Calibrate again (--self-calibrate). Limit: {limit_px:.2f} px"
     return [Finding(level, "moved_px", moved.residual_px, f"{moved_text(moved)}. {advice}")]
 
 

@@ -16,6 +16,7 @@ from fringe3d.calibrate.board_view import BoardView
 from fringe3d.calibrate.circle_centers import circle_centers
 from fringe3d.calibrate.comparing import RigComparison, compare_rigs
 from fringe3d.calibrate.corner_light import light_on_corners
+from fringe3d.calibrate.expected import expected_contradiction
 from fringe3d.calibrate.homologous import Homologous, Sight, homologous_points
 from fringe3d.calibrate.judging import Rest, check_fit, region_points, rests
 from fringe3d.calibrate.lit_points import LitPoints, lit_points
@@ -59,6 +60,7 @@ __all__ = [
     "circle_centers",
     "compare_rigs",
     "contradiction",
+    "expected_contradiction",
     "fit_poses",
     "fit_projector",
     "focal_sigma_by_poses",

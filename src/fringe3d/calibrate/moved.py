@@ -75,6 +75,11 @@ class Moved:
     movers: tuple[Mover, ...]
 
     @property
+    def is_of_poses(self) -> bool:
+        """Tell whether other poses undo most of the contradictions."""
+        return self.left_px <= STILL_LEFT * self.residual_px
+
+    @property
     def device(self) -> str | None:
         """Return the name of the device that moved; None where several would explain it, or none.
 
@@ -182,7 +187,7 @@ def moved_text(moved: Moved, /) -> str:
             f"devices contradict each other by ({undone}; next likely: "
             f"'{moved.movers[1].device}', {moved.movers[1].explained:.1%})"
         )
-    if moved.left_px > STILL_LEFT * moved.residual_px:
+    if not moved.is_of_poses:
         return (
             f"no poses bring the devices together (contradictions of {undone}): lenses have "
             "changed, or the rig is another one"
