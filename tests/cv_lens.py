@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -26,9 +28,15 @@ def cv_rays(camera: Device, pixels: ArrayLike) -> tuple[Floats, Floats]:
     """Return the projection centre (3,) and unit directions (..., 3) of pixels; world frame."""
     xy = np.asarray(pixels, np.float64)
     stop = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 200, 1e-13)
-    normalised = cv2.undistortPoints(
-        xy.reshape(-1, 1, 2), camera.camera_matrix, camera.distortion, criteria=stop
-    ).reshape(*xy.shape[:-1], 2)
+    flat = np.ascontiguousarray(xy.reshape(-1, 1, 2))
+    lens = (camera.camera_matrix, camera.distortion)
+    before_5: Any = getattr(cv2, "undistortPointsIter", None)
+    found = (
+        before_5(flat, *lens, None, None, stop)
+        if before_5 is not None
+        else cv2.undistortPoints(flat, *lens, criteria=stop)
+    )
+    normalised = found.reshape(*xy.shape[:-1], 2)
     pose = camera.device_from_world
     directions = np.concatenate([normalised, np.ones((*xy.shape[:-1], 1))], axis=-1) @ pose.rotation
     lengths = np.linalg.norm(directions, axis=-1)[..., None]

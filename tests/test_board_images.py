@@ -21,7 +21,7 @@ from fringe3d.cli import main
 from fringe3d.decode import decode
 from fringe3d.errors import CalibrationError, PlanError, RigError
 from fringe3d.geometry import normalize
-from fringe3d.io.board_images import find_corners, other_size
+from fringe3d.io.board_images import find_corners, other_board
 from fringe3d.io.boardfile import read_board
 from fringe3d.io.recording import read_scan
 from fringe3d.io.rigfile import read_rig, rig_text
@@ -145,8 +145,11 @@ def test_another_size_of_board_is_named() -> None:
     image = render(LIGHT, TURN, PLACE).images[0]
     wrong = replace(BOARD, n_cols=9)
     assert len(find_corners(image, wrong)) == 0
-    assert other_size(image, wrong) == (8, 6)
-    assert other_size(np.zeros_like(image), wrong) is None
+    for words in ("chessboard:9x6", "chessboard:7x6", "circles:8x6"):
+        other = other_board(image, read_board(words))
+        assert other is not None
+        assert other.text == "chessboard of 8 x 6 inner corners, 1 mm"
+    assert other_board(np.zeros_like(image), wrong) is None
 
 
 # ------------------------------------------------------------------------------ light on corners
@@ -299,7 +302,8 @@ def test_plain_images_need_no_description(
 
 
 @pytest.mark.parametrize(("words", "message"), [
-    (("--board", "chessboard:9x6:20mm"), "The first image shows one of 8 x 6: correct --board"),
+    (("--board", "chessboard:9x6:20mm"), "shows a chessboard of 8 x 6: correct --board"),
+    (("--board", "chessboard:7x6:20mm"), "shows a chessboard of 8 x 6: correct --board"),
     (("--board", "chessboard:8x6", "--leave-out", "pose-99"), "found pose-99"),
     (("--board", "chessboard:8x6", "--world", "pose-99"), "found 'pose-99'"),
     (("--board", "chessboard:8x6", "--keep-lenses"), "expected a former rig"),

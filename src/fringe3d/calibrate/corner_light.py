@@ -61,12 +61,20 @@ def light_on_corners(
     Raises
     ------
     CalibrationError
-        If there is one direction alone.
+        If there is one direction alone, or a code does not number all periods.
     """
     if len({m.angle for m in phases}) < 2:
         raise CalibrationError(
             f"camera '{phases[0].device_name}': expected fringes or Gray code of two directions on "
             "the board, found one. The place of a corner in the projector needs both"
+        )
+    for reduced in (m for m in phases if not m.is_absolute):
+        raise CalibrationError(
+            f"camera '{reduced.device_name}': expected a Gray code that numbers all periods of "
+            f"{reduced.period_px:g} px at {np.degrees(reduced.angle):.0f} degrees over the whole "
+            "projector, found a shorter one. Record the full code; or, if it is full, exchange the "
+            "directions in the description of the scans (rows and columns), or correct the "
+            "projector's size"
         )
     light = _projector_pixels(phases)
     places = np.argwhere(np.isfinite(light).all(axis=-1))[:, ::-1].astype(np.float64)

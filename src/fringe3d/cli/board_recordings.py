@@ -20,6 +20,9 @@ if TYPE_CHECKING:
     from fringe3d.board_scans import Found
     from fringe3d.calibrate import BoardView, DeviceSize
 
+FEW_POSES = 3
+"""Fewer do not calibrate a lens; if others are without the board, it may be another one."""
+
 Pose = tuple[str, Callable[[], Scan]]
 """Its name, and how its recording is read."""
 
@@ -179,6 +182,8 @@ def seen_in_series(
     for number, (pose, read) in enumerate(poses):
         reporter.step("finding the board", number, len(poses))
         scan = read()
+        if number == 0:
+            first = scan
         own = _devices(options, former, scan)
         devices = devices or own
         _require_same(f"{folder}: pose {pose}", own, devices, may_lack=bool(options.camera))
@@ -188,11 +193,12 @@ def seen_in_series(
             views += views_of_scan(scan, board, corners, pose=pose, projector=name)
         except Fringe3DError as problem:
             raise type(problem)(f"{folder / pose}: {problem}") from None
-        if number == 0:
-            first = scan
+        if not len(corners[scan.stacks[0].device_name][0]):
+            first = scan  # the last one without the board: what else does it show?
     reporter.step("finding the board", len(poses), len(poses))
-    if not any(len(view) for view in views):
-        raise CalibrationError(_not_found(board, first, len(poses)))
+    n_found = len({view.pose for view in views if len(view)})
+    if n_found < min(FEW_POSES, len(poses) / 2):
+        raise CalibrationError(_not_found(board, first, n_found, len(poses)))
     return views, devices
 
 
@@ -262,18 +268,19 @@ def _corners(board: Board, scan: Scan) -> dict[str, Found]:
     }  # fmt: skip
 
 
-def _not_found(board: Board, scan: Scan, n_poses: int) -> str:
+def _not_found(board: Board, scan: Scan, n_found: int, n_poses: int) -> str:
     from fringe3d.board_scans import board_image
-    from fringe3d.io.board_images import other_size
+    from fringe3d.io.board_images import other_board
 
-    size = other_size(board_image(scan.stacks[0]), board)
+    other = other_board(board_image(scan.stacks[0]), board)
     hint = (
-        f"The first image shows one of {size[0]} x {size[1]}: correct --board"
-        if size
+        f"An image without it shows a {other.kind} of {other.n_cols} x {other.n_rows}: correct "
+        "--board"
+        if other
         else "Check kind and size (inner corners of a chessboard, squares of a ChArUco board, its "
         "dictionary and layout), sharpness and light"
     )
     return (
-        f"--board: expected a {board.text} in the images, found it in none of {n_poses} poses. "
-        f"{hint}"
+        f"--board: expected a {board.text} in the images, found it in {n_found or 'none'} of "
+        f"{n_poses} poses. {hint}"
     )

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from fringe3d.errors import PlanError
 from fringe3d.io.circle_images import measured_circles
 from fringe3d.model import Board
+from fringe3d.model.board import BoardKind
 
 Image = NDArray[np.unsignedinteger[Any]]
 
@@ -21,6 +22,9 @@ edge stays outside."""
 
 SMALL_PX = 640
 """Larger side of the image in which other sizes are looked for."""
+
+PLAIN_KINDS: tuple[BoardKind, ...] = ("chessboard", "circles", "asymmetric-circles")
+"""Which carry no numbers: told by how many there are."""
 
 LEAST_WINDOW_PX, MOST_WINDOW_PX = 2, 11
 STOP = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 60, 1e-4)
@@ -165,13 +169,11 @@ def _blobs(n_pixels: int) -> Any:
     return cv2.SimpleBlobDetector_create(options)  # type: ignore[attr-defined]
 
 
-def other_size(image: Image, board: Board, /) -> tuple[int, int] | None:
-    """Return the size of another board of this kind that is in the image, (columns, rows).
+def other_board(image: Image, board: Board, /) -> Board | None:
+    """Return another board that is in the image, None where none is found.
 
-    It looks for sizes near that of the board; None where none is found.
+    It looks for other kinds of the same size, then for other sizes near that of the board.
     """
-    if board.kind == "charuco":
-        return None
     grey = _to_eight_bits(image)
     scale = min(1.0, SMALL_PX / max(grey.shape))
     grey = np.asarray(cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA))
@@ -181,12 +183,21 @@ def other_size(image: Image, board: Board, /) -> tuple[int, int] | None:
         for rows in range(max(3, board.n_rows - 2), board.n_rows + 3)
     ]
     # A part of a larger board may look like a board.
-    near.sort(key=lambda size: -size[0] * size[1])
-    return next((size for size in near if _is_there(grey, board, size)), None)
+    near.sort(key=lambda s: (-s[0] * s[1], abs(s[0] - board.n_cols) + abs(s[1] - board.n_rows)))
+    same = [(board.n_cols, board.n_rows)]
+    sizes = dict.fromkeys(PLAIN_KINDS, same) | {board.kind: near}
+    for kind in sorted(PLAIN_KINDS, key=lambda kind: kind == board.kind):
+        for cols, rows in sizes[kind]:
+            other = Board(kind=kind, n_cols=cols, n_rows=rows)
+            if other.kind == board.kind and (cols, rows) == same[0]:
+                continue
+            if _is_there(grey, other):
+                return other
+    return None
 
 
-def _is_there(grey: NDArray[np.uint8], board: Board, size: tuple[int, int]) -> bool:
+def _is_there(grey: NDArray[np.uint8], board: Board) -> bool:
     if board.kind == "chessboard":
         flags = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
-        return bool(cv2.findChessboardCorners(grey, size, flags=flags)[0])
-    return len(_circles(grey, Board(kind=board.kind, n_cols=size[0], n_rows=size[1]))) > 0
+        return bool(cv2.findChessboardCorners(grey, (board.n_cols, board.n_rows), flags=flags)[0])
+    return len(_circles(grey, board)) > 0
