@@ -129,9 +129,9 @@ def settled(
     problem: Problem, at: State, /, *, tolerance: float = COST_TOLERANCE
 ) -> tuple[Problem, State]:
     """Adjust and measure the noise in turn: what sticks out is told by what is typical."""
-    for _ in range(NOISE_ROUNDS):
+    for rough in (*[max(ROUGH_TOLERANCE, tolerance)] * (NOISE_ROUNDS - 1), tolerance):
         problem = with_noise(problem, at)
-        at = adjusted(problem, at, tolerance=tolerance)
+        at = adjusted(problem, at, tolerance=rough)
     return with_noise(problem, at), at
 
 
