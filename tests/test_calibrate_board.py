@@ -46,7 +46,7 @@ def calibrated() -> BoardCalibration:
 
 
 def test_the_numbers_of_the_rig_lie_within_their_sigma(calibrated: BoardCalibration) -> None:
-    """One run; `docs/evidence.md` has 40. A wrong sign or axis is off by thousands of sigma."""
+    """One run; `docs/simulation.md` has 40. A wrong sign or axis is off by thousands of sigma."""
     off = errors(calibrated.devices)
     pull = [off[name] / calibrated.covariance.sigma(name) for name in calibrated.covariance.names]
     assert max(np.abs(pull)) < 4.5

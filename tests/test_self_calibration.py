@@ -226,7 +226,7 @@ def scans(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("own-poses")
     for thing in ("machine-part", "plane"):
         main(["simulate", "kolibri", "--object", thing, "--plan", "m0", "--camera-size", "320x256",
-              "--out", str(folder / thing)])  # fmt: skip
+              "--rays", "1", "--out", str(folder / thing)])  # fmt: skip
     rig = read_rig(folder / "plane" / "rig.toml")
     assert rig.projector is not None
     moved = replace(
@@ -281,11 +281,12 @@ def test_four_images_without_a_code_find_poses_and_their_orders_again(
 ) -> None:
     """A fringe order is a quarter of a pixel; the moved rig sees points farther beside than that.
 
-    With the true rig M6 finds 88.5 % of what both cameras see, with its own poses 87.4 %.
+    With 4 rays a pixel M6 finds 88.5 % of what both cameras see with the true rig, 87.4 % here.
     """
     from fringe3d.io.recording import read_scan
 
-    monkeypatch.setattr("fringe3d.pose_search.REACH_PX", 2.4)
+    monkeypatch.setattr("fringe3d.pose_search.REACH_PX", 1.2)  # what this knock needs
+    monkeypatch.setattr("fringe3d.self_calibration.ROUNDS", 2)
     scan, moved = read_scan(scans / "machine-part"), read_rig(scans / "moved.toml")
     options = MeasureOptions(method="m6", direction="x", gray_bits=0)
     found = self_calibrate([scan], moved, options)
@@ -352,7 +353,7 @@ def test_a_ball_bar_gives_the_scale(tmp_path: Path, capsys: pytest.CaptureFixtur
 
     scan = tmp_path / "scan"
     main(["simulate", "kolibri", "--object", "ball-bar", "--plan", "m1", "--camera-size", "320x256",
-          "--out", str(scan)])  # fmt: skip
+          "--rays", "1", "--out", str(scan)])  # fmt: skip
     preset = PRESETS["kolibri"]((320, 256))
     scene = preset.scene(OBJECTS["ball-bar"]())
     centers = scene.world_from_object.apply(scene.thing.spheres[:, :3])
