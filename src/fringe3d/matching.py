@@ -50,7 +50,7 @@ from fringe3d.triangulate import triangulate
 MIN_CROSSING_SINE = 0.05
 """3 degrees between fringes and epipolar lines; sigma is twenty times that of a square crossing."""
 
-SAMPLE_STEP_PX, SAMPLE_ROWS = 8, 64
+SAMPLE_STEP_PX, SAMPLE_ROWS = 8, 40
 
 MAX_TRINOCULAR_PX = 3.0
 """A projector that is further off judges nothing; the search window is half a period."""

@@ -30,6 +30,10 @@ TEXTURE_REACH = 5
 TEXTURE_STEP_PX = 3
 """The texture is smoothed by 1 px; its correlation is about 5 px wide."""
 
+ROUGH_STEP, N_PEAKS = 4, 8
+"""Every fourth point of a tile, some 500, tells correlations within 0.045: the eight best shifts
+are looked at with all."""
+
 TEXTURE_MIN_PEAK = 0.25
 TEXTURE_MAX_SHIFT_PX = 3
 TEXTURE_CLEAR = 0.12
@@ -135,13 +139,31 @@ def texture_tiles(
             continue
         thin = slice(None, None, max(1, len(rows) // TILE_SAMPLE))
         values, pixels = texture1[rows[thin], cols[thin]], matches.pixels[rows[thin], cols[thin]]
-        profile = np.empty(len(shifts))
-        _correlate.profile(values, pixels, texture2, normal, shifts, MIN_TILE_POINTS // 2, profile)
-        peak = int(np.argmax(profile))
-        tiles.append(
-            TextureTile(float(profile[near].max()), float(profile[peak]), int(shifts[peak]))
-        )
+        tiles.append(_correlated(values, pixels, texture2, normal, shifts, near))
     return tiles
+
+
+def _correlated(
+    values: NDArray[np.float32],
+    pixels: NDArray[np.float64],
+    texture: NDArray[np.float32],
+    normal: NDArray[np.float64],
+    shifts: NDArray[np.intp],
+    near: NDArray[np.bool_],
+) -> TextureTile:
+    """Correlate a tile at shifts: a quarter of its points tells where it is worth looking."""
+    part, rough = slice(None, None, ROUGH_STEP), np.empty(len(shifts))
+    least = MIN_TILE_POINTS // 2
+    _correlate.profile(
+        values[part], pixels[part], texture, normal, shifts, least // ROUGH_STEP, rough
+    )
+    rough[near] = np.inf
+    looked_at = shifts[np.argsort(-rough)[: near.sum() + N_PEAKS]]
+    profile = np.empty(len(looked_at))
+    _correlate.profile(values, pixels, texture, normal, looked_at, least, profile)
+    peak = int(np.argmax(profile))
+    here = float(profile[np.abs(looked_at) <= TEXTURE_MAX_SHIFT_PX].max())
+    return TextureTile(here, float(profile[peak]), int(looked_at[peak]))
 
 
 def _texture(phases: PhaseMap) -> NDArray[np.float32]:
