@@ -19,7 +19,7 @@ MARK = b"njit"
 CONSTANTS = "model"
 """Folder of the constants that are compiled into code."""
 
-COMPILING = "compiling, once after installation or an update: about half a minute"
+COMPILING = "compiling, once after installation or an update: about a minute"
 
 PARTS, LEAST_ROWS = 8, 16
 """Parts of an image for each thread, which so end nearly together, and rows of the least part."""
