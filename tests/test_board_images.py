@@ -150,6 +150,7 @@ def test_another_size_of_board_is_named() -> None:
         assert other is not None
         assert other.text == "chessboard of 8 x 6 inner corners, 1 mm"
     assert other_board(np.zeros_like(image), wrong) is None
+    assert other_board(image, read_board("circles:2x5:10mm")) is None  # no chessboard is so small
 
 
 # ------------------------------------------------------------------------------ light on corners

@@ -65,3 +65,34 @@ def test_compiling_is_told_once_and_not_where_the_code_is_kept(tmp_path: Path) -
     code = tell * 2 + SHOW
     assert run(tmp_path, code)[1].count("package: compiling") == 1
     assert run(tmp_path, code)[1] == ""
+
+
+FORKED = """
+import os
+import numpy as np
+from fringe3d.kernels import over_rows
+
+def fill(out, rows):
+    out[rows[0]:rows[1]] += 1
+
+def filled():
+    out = np.zeros(64)
+    over_rows(fill, 64, out)
+    return (out == 1).all()
+
+assert filled()
+child = os.fork()
+if child == 0:
+    os._exit(0 if filled() else 1)
+print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
+"""
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="this system does not fork")
+def test_a_forked_process_has_threads_of_its_own(tmp_path: Path) -> None:
+    """Those of its parent do not run in it: it would wait for them for ever."""
+    found = subprocess.run(
+        [sys.executable, "-c", FORKED], cwd=tmp_path, capture_output=True, text=True, check=True,
+        env=os.environ | {"NUMBA_NUM_THREADS": "2"}, timeout=120,
+    )  # fmt: skip
+    assert found.stdout.strip() == "0"

@@ -116,7 +116,10 @@ def located(views: TwoViews, rig: Rig, *, plain: bool) -> tuple[Correspondences,
     known = None if at_once is None else (at_once.met, at_once.todo)
     if at_once is not None:
         assert at_once.todo.sum() < 0.4 * (matches.rejection == 0).sum()
-    return matches, triangulate(matches, c1, c2, volume=rig.volume, known=known)
+    before = matches.rejection.copy()
+    points = triangulate(matches, c1, c2, volume=rig.volume, known=known)
+    np.testing.assert_array_equal(matches.rejection, before)
+    return matches, points
 
 
 @pytest.mark.parametrize("holes", [False, True])

@@ -124,9 +124,13 @@ def over_rows(kernel: Callable[..., object], n_rows: int, /, *args: object) -> N
         other.result()
 
 
-@cache
+@cache  # forgotten in a forked process, which has none of them
 def _threads() -> ThreadPoolExecutor:
     return ThreadPoolExecutor(os.cpu_count(), thread_name_prefix="fringe3d")
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_threads.cache_clear)
 
 
 def tell_of_compiling(package: str = "fringe3d", /) -> None:

@@ -9,10 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fringe3d.correspond import (
+    FIT_SIGMA,
     Located,
+    Task,
     TwoViews,
     Witnesses,
     choose_orders,
+    coarse_stride,
     confirm_orders,
     fringe_crossing,
     locate,
@@ -21,6 +24,7 @@ from fringe3d.correspond import (
     match_near_sheets,
     match_projector,
     place_lost,
+    quiet,
 )
 from fringe3d.decode import CameraPhases, has_mirrored_neighbours
 from fringe3d.design.gray import BEYOND
@@ -227,6 +231,22 @@ def two_views(phases: Sequence[CameraPhases], camera: Device, other: Device, /) 
         periods1=first1.other_periods,
         periods2=first2.other_periods,
     )
+
+
+def search_task(
+    phases: Sequence[CameraPhases],
+    camera: Device,
+    other: Device,
+    projector: Device,
+    volume: MeasuringVolume,
+    /,
+) -> Task:
+    """Return the candidates of a scan on a coarse grid, by its first fringes alone, as the bias is
+    learnt from."""
+    views = replace(two_views(phases, camera, other), second1=None, second2=None,
+                    periods1=(), periods2=())  # fmt: skip
+    stride = coarse_stride(views.phases1.phase)
+    return Task(quiet(views), projector, volume, FIT_SIGMA**2, together=True, stride=stride)
 
 
 def _match_three(

@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from fringe3d.correspond import DOUBT, FIT_SIGMA, Rivals, Task, coarse_stride, rivals
+from fringe3d.correspond import DOUBT, Rivals, Solution, Task, rivals
 from fringe3d.decode import CameraPhases
-from fringe3d.geometry import closest_depths, project, rays
-from fringe3d.matching import two_views
+from fringe3d.geometry import depth_interval, pixel_grid, project, rays
+from fringe3d.matching import search_task
 from fringe3d.model import Device, MeasuringVolume, Rig, RigidTransform
 
 REACH_PX, STEP_PX = 6.0, 1.2
@@ -25,6 +25,9 @@ REACH_PX, STEP_PX = 6.0, 1.2
 way), and a step after which the evidence still finds its way."""
 
 LEAST_CERTAINTY = 0.99
+
+STEP = 16
+"""Rows and columns of pixels whose rays show in which direction points move."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,14 +58,9 @@ def fit_as_it_is(
     found = rivals([_task(phases, rig, volume) for phases in scans])
     if found is None:
         return None
-    agree = [
-        found.agreement(task.views.phases1.phase.shape, number=number, doubt=DOUBT)[task.grid][
-            task.valid
-        ]
-        for number, task in enumerate(found.tasks)
-    ]
-    best = replace(rig, bias=replace(found.best, source="self-calibration"))
-    return Fit(best, found, float(np.mean(np.concatenate(agree))))
+    # These images are no new evidence for it: without a covariance it serves them as it is.
+    bias = replace(found.best, source="self-calibration", covariance_px2=None)
+    return Fit(replace(rig, bias=bias), found, float(np.mean(found.agreements(doubt=DOUBT))))
 
 
 def fit_turned(
@@ -90,14 +88,18 @@ def fit_turned(
     fits = []
     for number, turn in enumerate(turns):
         step(number, len(turns))
-        fit = fit_as_it_is(scans, _turned(rig, scans[0], float(turn)), volume)
+        fit = fit_as_it_is(scans, _turned(rig, scans[0], volume, float(turn)), volume)
         fits += [fit] if fit is not None else []
     step(len(turns), len(turns))
     if not fits:
         return None
     best = min(fits, key=lambda fit: fit.energy)
-    others = [f for f in fits if not f.found.solutions[0].resembles(best.found.solutions[0])]
-    odds = sum(float(np.exp((best.energy - f.energy) / DOUBT)) for f in others)
+    own = list(best.found.solutions)
+    others: list[Solution] = []
+    for solution in sorted((s for f in fits for s in f.found.solutions), key=lambda s: s.energy):
+        if not any(solution.resembles(known) for known in (*own, *others)):
+            others.append(solution)
+    odds = sum(float(np.exp((best.energy - s.energy) / DOUBT)) for s in others)
     return replace(best, certainty=best.certainty / (1 + odds))
 
 
@@ -105,10 +107,7 @@ def _task(phases: Sequence[CameraPhases], rig: Rig, volume: MeasuringVolume) -> 
     """Return the candidates of a scan on a coarse grid, by its first fringes alone."""
     assert rig.projector is not None
     camera1, camera2 = _cameras(rig, phases)
-    views = replace(two_views(phases, camera1, camera2), second1=None, second2=None,
-                    periods1=(), periods2=())  # fmt: skip
-    stride = coarse_stride(views.phases1.phase)
-    return Task(views, rig.projector, volume, FIT_SIGMA**2, together=True, stride=stride)
+    return search_task(phases, camera1, camera2, rig.projector, volume)
 
 
 def _cameras(rig: Rig, phases: Sequence[CameraPhases]) -> tuple[Device, Device]:
@@ -116,10 +115,12 @@ def _cameras(rig: Rig, phases: Sequence[CameraPhases]) -> tuple[Device, Device]:
     return cameras[phases[0].device_name], cameras[phases[1].device_name]
 
 
-def _turned(rig: Rig, phases: Sequence[CameraPhases], distance_px: float) -> Rig:
+def _turned(
+    rig: Rig, phases: Sequence[CameraPhases], volume: MeasuringVolume, distance_px: float
+) -> Rig:
     """Return the rig with its second camera turned, so that points move along epipolar lines."""
     camera1, camera2 = _cameras(rig, phases)
-    x, y = distance_px * _epipolar_way(camera1, camera2) / camera2.focal_px
+    x, y = distance_px * _epipolar_way(camera1, camera2, volume) / camera2.focal_px
     turn = RigidTransform(
         rotation=Rotation.from_rotvec([-y, x, 0.0]).as_matrix(), translation=[0, 0, 0]
     )
@@ -127,12 +128,10 @@ def _turned(rig: Rig, phases: Sequence[CameraPhases], distance_px: float) -> Rig
     return replace(rig, cameras=tuple(moved if c is camera2 else c for c in rig.cameras))
 
 
-def _epipolar_way(camera1: Device, camera2: Device) -> NDArray[np.float64]:
-    """Return the direction, (2,), in which C2 sees a point in the middle move away from C1."""
-    (origin, direction), other = (
-        rays(c, np.array([[c.n_cols / 2, c.n_rows / 2]])) for c in (camera1, camera2)
-    )
-    depth, _ = closest_depths(origin, direction, *other)
-    ends = project(camera2, origin + np.outer([depth[0], 1.001 * depth[0]], direction[0]))
-    way = ends[1] - ends[0]
+def _epipolar_way(camera1: Device, camera2: Device, volume: MeasuringVolume) -> NDArray[np.float64]:
+    """Return the direction, (2,), in which C2 sees points of the volume move away from C1."""
+    origin, directions = rays(camera1, pixel_grid(camera1.shape)[::STEP, ::STEP].reshape(-1, 2))
+    middle = np.mean(depth_interval(origin, directions, volume), axis=0)[:, None]
+    ends = (project(camera2, origin + scale * middle * directions) for scale in (1.0, 1.001))
+    way = np.nanmean(np.subtract(*reversed(list(ends))), axis=0)
     return np.asarray(way / np.linalg.norm(way))

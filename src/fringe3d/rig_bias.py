@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fringe3d.correspond import DOUBT, FIT_SIGMA, Task, coarse_stride, quiet, rivals
+from fringe3d.correspond import DOUBT, Task, rivals
 from fringe3d.decode import decode
 from fringe3d.errors import MethodError
-from fringe3d.matching import best_direction_first, two_views
+from fringe3d.matching import best_direction_first, search_task
 from fringe3d.model import CalibrationBias, Device, MeasuringVolume, Rig, Scan
 from fringe3d.options import MeasureOptions, keep_images, volume_of
 
@@ -88,18 +88,13 @@ def learn_rig_bias(
             "calibrate bias: expected a surface whose fringe orders are mostly clear, found too "
             "few such pixels. Take a well-structured scan, or one with a Gray code"
         )
-    agree = [
-        found.agreement(task.views.phases1.phase.shape, number=number, doubt=DOUBT)[task.grid][
-            task.valid
-        ]
-        for number, task in enumerate(found.tasks)
-    ]
+    agree = found.agreements(doubt=DOUBT)
     source = ", ".join(scan.title or f"scan {number + 1}" for number, scan in enumerate(scans))
     return LearntBias(
         bias=replace(found.best, source=source),
-        certainty=float(np.mean(np.concatenate(agree))),
+        certainty=float(np.mean(agree)),
         n_solutions=len(found.solutions),
-        decided_part=float(np.mean(np.concatenate(agree) > LEAST_CERTAINTY)),
+        decided_part=float(np.mean(agree > LEAST_CERTAINTY)),
     )
 
 
@@ -116,7 +111,4 @@ def _task(
     camera1, camera2 = (cameras[stack.device_name] for stack in stacks[:2])
     phases = tuple(decode(stack, projector.shape) for stack in stacks)
     phases = best_direction_first(phases, camera1, camera2)
-    views = replace(two_views(phases, camera1, camera2), second1=None, second2=None,
-                    periods1=(), periods2=())  # fmt: skip
-    stride = coarse_stride(views.phases1.phase)
-    return Task(quiet(views), projector, volume, FIT_SIGMA**2, together=True, stride=stride)
+    return search_task(phases, camera1, camera2, projector, volume)

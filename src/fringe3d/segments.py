@@ -176,13 +176,15 @@ def _other_rig(segments: Segments) -> str:
 def angles_without_code(
     rig: Rig, volume: MeasuringVolume, phases: PhaseMap, /
 ) -> tuple[float, float]:
-    """Return the angle between C1 and the projector in the middle of the volume, rad, and the
-    largest one at which each segment holds less than a period; see `design.angle_without_code`.
+    """Return the angle between C1, whose phases they are, and the projector in the middle of the
+    volume, rad, and the largest one at which each segment holds less than a period; see
+    `design.angle_without_code`.
     """
     assert rig.projector is not None
-    placed = replace(rig, volume=volume)
+    cameras = sorted(rig.cameras, key=lambda camera: camera.name != phases.device_name)
+    placed = replace(rig, cameras=tuple(cameras), volume=volume)
     largest = angle_without_code(
         placed, period_px=phases.period_px, angle=phases.angle, step=4 * COUNT_STEP_PX
     )
     middle = reference_of(placed).point_mm
-    return triangulation_angle(rig.cameras[0], rig.projector, middle), largest
+    return triangulation_angle(placed.cameras[0], rig.projector, middle), largest

@@ -66,8 +66,8 @@ def triangulate(
         return _triangulate_plainly(matches, camera, other, volume, max_epipolar_px)
     limit = inf if max_epipolar_px is None else max_epipolar_px
     met, todo = known or (None, None)
-    if met is not None:
-        met.rejection[todo] = matches.rejection[todo]
+    if met is not None and todo is not None:
+        met = met._replace(rejection=np.where(todo, matches.rejection, met.rejection))
     met = meet(matches, camera, other, volume, max_epipolar_px=limit,
                max_sigma_part=MAX_SIGMA_OF_DEPTH, met=met, todo=todo)  # fmt: skip
     return PointMap(**met._asdict())

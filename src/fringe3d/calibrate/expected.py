@@ -47,7 +47,7 @@ def expected_contradiction(
     columns = []
     for name, step in zip(covariance.names, np.sqrt(np.diagonal(covariance.matrix)), strict=True):
         moved = [changed(d, name.rpartition(".")[2], step)
-                 if name.startswith(f"{d.name}.") else d for d in devices]  # fmt: skip
+                 if name.rpartition(".")[0] == d.name else d for d in devices]  # fmt: skip
         there, _ = left_over(
             viewed(scan.points, moved[0]), State(tuple(moved), before.depths), before.depths[0]
         )

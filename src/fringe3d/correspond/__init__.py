@@ -15,7 +15,7 @@ from fringe3d.correspond.projector import (
 )
 from fringe3d.correspond.single import confirm_orders
 from fringe3d.correspond.smoothing import averaged_phase, quiet
-from fringe3d.correspond.solving import DOUBT, Rivals, coarse_stride, rivals
+from fringe3d.correspond.solving import DOUBT, Rivals, Solution, coarse_stride, rivals
 from fringe3d.correspond.stereo import fringe_crossing, match_cameras
 from fringe3d.correspond.weighing import Task, TwoViews
 from fringe3d.correspond.witnesses import Witnesses
@@ -27,6 +27,7 @@ __all__ = [
     "ChosenOrders",
     "Located",
     "Rivals",
+    "Solution",
     "Task",
     "TwoViews",
     "Witnesses",

@@ -16,10 +16,10 @@ f4 = np.float32
 def average(phase, sigma, radius, limits, averaged, sigma_averaged, rows):  # type: ignore[no-untyped-def]
     """Write the phase averaged over pairs of pixels that lie opposite each other, (row, col) rad.
 
-    phase, sigma (row, col): rad, NaN where unknown; radius: px; limits = (deviation of a pair's
-    mean on a surface, rad; the same in standard deviations of the pixel). A pair is left out where
-    it deviates by more, or one of it is unknown. Averages are not wrapped again. rows = (first,
-    last but one).
+    phase, sigma (row, col): rad, NaN where unknown; radius: px; limits = (second difference of a
+    pair and the pixel between, rad; the same in standard deviations of the pixel); rows = (first,
+    last but one). A pair is left out where it deviates by more, or one of it is unknown. Averages
+    are not wrapped again.
     """
     n_rows, n_cols = phase.shape
     most, most_sigma = limits

@@ -71,7 +71,7 @@ class ChosenOrders:
     place_px, place_sigma_px : (row, col) float32, projector px; where across the fringes C1's phase
         and the bias expect the point, less its phase, and the standard deviation
     residual : (row, col) float32, periods; phase that C2 sees at the point minus that of C1, the
-        calibration's bias included
+        calibration's bias included; NaN where a code decides most pixels at once (`clear`)
     sigma : (row, col) float32, periods; predicted standard deviation of `residual` less the bias
     bias : CalibrationBias; as stored, or as the clear decisions show it
     rival_shift : int; see `fringe3d.matching.Matched`

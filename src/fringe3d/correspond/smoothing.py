@@ -19,8 +19,8 @@ and over five by five pixels. Little noise harms less than what averaging takes 
 LEAST_RAD = 0.02
 """Of an average: what neighbours have in common (harmonics, interpolation, mixed light) stays."""
 
-SMOOTH_RAD, SMOOTH_SIGMA = 0.05, 2.0
-"""By which a pair may deviate from the pixel between: curvature, and noise. A steep wall is a few
+PAIR_RAD, PAIR_SIGMA = 0.05, 2.0
+"""Second difference of a pair and the pixel between: curvature, and noise. A steep wall is a few
 pixels wide, and hardly rises above it."""
 
 
@@ -71,7 +71,7 @@ def averaged_phase(
     """
     averaged, sigma_averaged = np.empty_like(phase), np.empty_like(sigma)
     # A pair less twice the middle has six times the variance of a pixel.
-    limits = np.float32(SMOOTH_RAD), np.float32(SMOOTH_SIGMA * np.sqrt(6))
+    limits = np.float32(PAIR_RAD), np.float32(PAIR_SIGMA * np.sqrt(6))
     over_rows(average, len(phase), phase, sigma, radius, limits, averaged, sigma_averaged)
     return averaged, sigma_averaged
 

@@ -107,6 +107,14 @@ class Rivals:
         """Return the bias of the best solution."""
         return self.solutions[0].bias
 
+    def agreements(self, *, doubt: float = 1.0) -> NDArray[np.float64]:
+        """Return `agreement` for the pixels of all tasks, (n,)."""
+        parts = [
+            self.agreement(task.views.phases1.phase.shape, number=number, doubt=doubt)[task.grid]
+            for number, task in enumerate(self.tasks)
+        ]
+        return np.concatenate([p[t.valid] for p, t in zip(parts, self.tasks, strict=True)])
+
     def shift(self) -> int:
         """Return by how many orders the second solution differs from the best where it does."""
         if len(self.solutions) < 2:

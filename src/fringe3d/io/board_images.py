@@ -23,6 +23,9 @@ edge stays outside."""
 SMALL_PX = 640
 """Larger side of the image in which other sizes are looked for."""
 
+LEAST_CORNERS = 3
+"""Rows and columns of a chessboard that OpenCV looks for."""
+
 PLAIN_KINDS: tuple[BoardKind, ...] = ("chessboard", "circles", "asymmetric-circles")
 """Which carry no numbers: told by how many there are."""
 
@@ -198,6 +201,8 @@ def other_board(image: Image, board: Board, /) -> Board | None:
 
 def _is_there(grey: NDArray[np.uint8], board: Board) -> bool:
     if board.kind == "chessboard":
+        if min(board.n_cols, board.n_rows) < LEAST_CORNERS:
+            return False
         flags = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
         return bool(cv2.findChessboardCorners(grey, (board.n_cols, board.n_rows), flags=flags)[0])
     return len(_circles(grey, board)) > 0

@@ -89,7 +89,10 @@ def _part(grey: Floats, at: Floats, around: NDArray[np.bool_], inner: float) -> 
     terms = np.column_stack([np.ones(len(at)), at - at.mean(axis=0)])
     plane, *_ = np.linalg.lstsq(terms[around], grey[around], rcond=None)
     background = terms @ plane
-    # The light that falls on the circle varies as that on the background.
-    dark = inner * background / max(float(background.mean()), 1e-9)
-    between = background - dark
+    circle = np.full(len(at), inner)
+    if inner < background.mean():
+        # The light on a dark circle varies as that on the background; what little a dark
+        # background shows, strays.
+        circle *= background / background.mean()
+    between = background - circle
     return np.asarray((background - grey) / np.where(np.abs(between) < 1e-9, np.inf, between))
