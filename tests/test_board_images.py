@@ -319,6 +319,18 @@ def test_mistakes_on_the_command_line_are_named(
     assert not (tmp_path / "rig.toml").exists()
 
 
+def test_a_rig_that_fits_no_pose_is_not_written(
+    series: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    """So it is with a part of a board, which each device may find elsewhere on it."""
+    monkeypatch.setattr("fringe3d.calibrate.typical_rms_px", lambda _: ("c1", 37.6))
+    out = tmp_path / "rig.toml"
+    assert run("calibrate", series, "--board", "chessboard:8x6:20mm", "--out", out) == 2
+    assert "found 37.6 px in 'c1'" in capsys.readouterr().err
+    assert not out.exists()
+
+
 def test_folders_without_poses_are_named(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -285,7 +285,8 @@ def _moved(
         return []
     if moved.residual_px < EPIPOLAR_WARNING_PX and not moved.is_of_poses:
         return []  # what is left is that of fringes, not of poses
-    advice = f"Calibrate again (--self-calibrate). Limit: {limit_px:.2f} px"
+    again = "Calibrate again (--self-calibrate)" if moved.is_of_poses else "Calibrate with a board"
+    advice = f"{again}. Limit: {limit_px:.2f} px"
     return [Finding(level, "moved_px", moved.residual_px, f"{moved_text(moved)}. {advice}")]
 
 

@@ -11,6 +11,7 @@ from fringe3d.calibrate.board_judging import (
     check_board,
     focal_sigma_by_poses,
     leave_poses_out,
+    typical_rms_px,
 )
 from fringe3d.calibrate.board_view import BoardView
 from fringe3d.calibrate.circle_centers import circle_centers
@@ -74,5 +75,6 @@ __all__ = [
     "region_points",
     "residual_px",
     "rests",
+    "typical_rms_px",
     "which_moved",
 ]

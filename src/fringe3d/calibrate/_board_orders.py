@@ -118,7 +118,8 @@ def together(
             key=lambda n: (roles[n] == "camera", _n_shared(seen[n], poses)),
         )
         _require_shared(name, roles[name], _n_shared(seen[name], poses), list(placed))
-        relative, turned = _relative(board, seen[name], poses)
+        who = f"{roles[name]} '{name}'"
+        relative, turned = _relative(board, seen[name], poses, who=who)
         views = _turned(views, {(pose, name) for pose in turned}, np.arange(board.n_points)[::-1])
         for device in seen:
             for pose, via in list(seen[device]):
@@ -146,6 +147,8 @@ def _relative(
     board: Board,
     seen: dict[tuple[str, str], RigidTransform],
     poses: dict[str, RigidTransform],
+    *,
+    who: str,
 ) -> tuple[RigidTransform, set[str]]:
     """Return device_from_first, and the poses in which the board must be turned by half."""
     shared = [key for key in seen if key[0] in poses]
@@ -167,16 +170,17 @@ def _relative(
     apart = float(np.median(distances(chosen, [relative], reach)))
     if apart > LARGEST_DISAGREEMENT:
         raise CalibrationError(
-            f"'{_name_of(shared)}' in {len(shared)} poses that other devices see: expected the "
-            f"devices to stand alike to each other in all poses, found them apart by {apart:.2f} "
-            "(rad, plus part of the distance). Are the images of one folder of the same pose, and "
-            "of the camera that it names?"
+            f"{who}: expected it to stand alike to the other devices in all poses, found it to "
+            f"differ by {apart:.2f} (turn in rad plus shift over its distance; poses "
+            f"{_name_of(shared)}). Are its images mirrored or turned, of another camera or of "
+            "other poses than the names say, or is the size of --board another one?"
         )
     return relative, {key[0] for key, t in zip(shared, is_turned, strict=True) if t}
 
 
 def _name_of(shared: Sequence[tuple[str, str]]) -> str:
-    return ", ".join(pose for pose, _ in shared[:3]) + (" ..." if len(shared) > 3 else "")
+    poses = list(dict.fromkeys(pose for pose, _ in shared))
+    return ", ".join(poses[:3]) + (" ..." if len(poses) > 3 else "")
 
 
 def _require_shared(name: str, role: str, n_shared: int, placed: list[str]) -> None:

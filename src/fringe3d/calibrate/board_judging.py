@@ -93,6 +93,17 @@ def focal_sigma_by_poses(
     return result
 
 
+def typical_rms_px(calibration: BoardCalibration, /) -> tuple[str, float]:
+    """Return the device whose corners miss most in its typical pose, and by how much, px rms."""
+    poses = list(calibration.world_from_board)
+    typical = {
+        device.name: float(np.nanmedian([calibration.rms_px(device.name, pose=p) for p in poses]))
+        for device in calibration.devices
+    }
+    worst = max(typical, key=lambda name: typical[name])
+    return worst, typical[worst]
+
+
 def check_board(calibration: BoardCalibration, left_out: Sequence[PoseLeftOut], /) -> list[Finding]:
     """Judge a calibration."""
     return [

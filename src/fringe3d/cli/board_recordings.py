@@ -18,7 +18,13 @@ from fringe3d.model import Board, ImageStack, PatternPlan, Rig, Scan, Uniform
 
 if TYPE_CHECKING:
     from fringe3d.board_scans import Found
-    from fringe3d.calibrate import BoardView, DeviceSize
+    from fringe3d.calibrate import BoardCalibration, BoardView, DeviceSize
+
+MOST_TYPICAL_PX = 3.0
+"""Of the rms in the typical pose: a calibration that is good has a tenth of it."""
+
+IMAGES_LOOKED_AT = 3
+"""Images that tell which board they show."""
 
 FEW_POSES = 3
 """Fewer do not calibrate a lens; if others are without the board, it may be another one."""
@@ -179,11 +185,10 @@ def seen_in_series(
     poses = poses_of(folder, options)
     views: list[BoardView] = []
     devices: list[DeviceSize] = []
+    without: list[Scan] = []  # the board: what else do they show?
     for number, (pose, read) in enumerate(poses):
         reporter.step("finding the board", number, len(poses))
         scan = read()
-        if number == 0:
-            first = scan
         own = _devices(options, former, scan)
         devices = devices or own
         _require_same(f"{folder}: pose {pose}", own, devices, may_lack=bool(options.camera))
@@ -193,13 +198,37 @@ def seen_in_series(
             views += views_of_scan(scan, board, corners, pose=pose, projector=name)
         except Fringe3DError as problem:
             raise type(problem)(f"{folder / pose}: {problem}") from None
-        if not len(corners[scan.stacks[0].device_name][0]):
-            first = scan  # the last one without the board: what else does it show?
+        if not len(corners[scan.stacks[0].device_name][0]) and len(without) < IMAGES_LOOKED_AT:
+            without.append(scan)
     reporter.step("finding the board", len(poses), len(poses))
     n_found = len({view.pose for view in views if len(view)})
     if n_found < min(FEW_POSES, len(poses) / 2):
-        raise CalibrationError(_not_found(board, first, n_found, len(poses)))
+        raise CalibrationError(
+            f"--board: expected a {board.text} in the images, found it in {n_found or 'none'} of "
+            f"{len(poses)} poses. {_what_they_show(board, without)}"
+        )
     return views, devices
+
+
+def require_fit(found: BoardCalibration, folder: Path, options: SeriesOptions, /) -> None:
+    """Refuse a calibration that fits none of its poses.
+
+    Raises
+    ------
+    CalibrationError
+        If the corners of the typical pose miss by more than any lens or detector explains.
+    """
+    from fringe3d.calibrate import typical_rms_px
+
+    device, rms = typical_rms_px(found)
+    if rms <= MOST_TYPICAL_PX:
+        return
+    scans = [read() for _, read in poses_of(folder, options)[:IMAGES_LOOKED_AT]]
+    raise CalibrationError(
+        f"{folder}: expected the corners of the typical pose within {MOST_TYPICAL_PX:g} px of "
+        f"where one rig and one {found.board.text} show them, found {rms:.1f} px in '{device}'. "
+        f"{_what_they_show(found.board, scans)}. Are all images of this camera and pose?"
+    )
 
 
 def _devices(options: SeriesOptions, former: Rig | None, scan: Scan) -> list[DeviceSize]:
@@ -268,19 +297,16 @@ def _corners(board: Board, scan: Scan) -> dict[str, Found]:
     }  # fmt: skip
 
 
-def _not_found(board: Board, scan: Scan, n_found: int, n_poses: int) -> str:
+def _what_they_show(board: Board, scans: Sequence[Scan]) -> str:
+    """Return which other board images show, and what to do, for a message."""
     from fringe3d.board_scans import board_image
     from fringe3d.io.board_images import other_board
 
-    other = other_board(board_image(scan.stacks[0]), board)
-    hint = (
-        f"An image without it shows a {other.kind} of {other.n_cols} x {other.n_rows}: correct "
-        "--board"
-        if other
-        else "Check kind and size (inner corners of a chessboard, squares of a ChArUco board, its "
-        "dictionary and layout), sharpness and light"
-    )
-    return (
-        f"--board: expected a {board.text} in the images, found it in {n_found or 'none'} of "
-        f"{n_poses} poses. {hint}"
-    )
+    seen = [other for s in scans if (other := other_board(board_image(s.stacks[0]), board))]
+    if not seen:
+        return (
+            "Check kind and size (inner corners of a chessboard, squares of a ChArUco board, its "
+            "dictionary and layout), sharpness and light"
+        )
+    other = max(seen, key=lambda b: b.n_cols * b.n_rows)  # of a large one a part may be seen
+    return f"An image shows a {other.kind} of {other.n_cols} x {other.n_rows}: correct --board"

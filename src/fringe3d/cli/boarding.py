@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fringe3d.cli.board_recordings import SeriesOptions, seen_in_series
+from fringe3d.cli.board_recordings import SeriesOptions, require_fit, seen_in_series
 from fringe3d.cli.calibrating import LENS_NAMES, calibrate
 from fringe3d.cli.console import Reporter
 from fringe3d.cli.parameters import Json
@@ -90,6 +90,7 @@ def calibrate_series(
         shape=next((shape for shape in SHAPES if shape == options.board_shape), None),
     )
     found = calibrate_board(board, views, devices, wanted)
+    require_fit(found, folder, options)
     reporter.stage("leaving poses out", of=3)
     left_out = leave_poses_out(found)
     findings = check_board(found, left_out)
