@@ -17,8 +17,9 @@ from fringe3d.model import Device, Rejection
 
 Bools = NDArray[np.bool_]
 
-MARGIN_PX = 0.5
-"""Of C2 and the projector, next to what they do not see: half a pixel of light from there."""
+MARGIN_PX = 1.0
+"""Of C2 and the projector, next to what they do not see: light from there, and what the bias and
+the depth of the surface leave unknown of the place."""
 
 LACK, LACK_IN_C2, MISFIT, ALONE = 1.0, 0.5, 0.6, 0.6
 """What speaks against a pixel at a border, 0 to 1 each: the modulation that it lacks against its
