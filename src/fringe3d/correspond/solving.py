@@ -42,6 +42,10 @@ STARTS_PX = tuple(0.2 * step for step in range(-4, 5))
 START_SCATTER_PX, JUDGED_SCATTER_PX = 0.15, 0.08
 """Calibration error that a start leaves to be learnt, and the one by which solutions are judged."""
 
+NOISE_THAT_JUMPS_RAD = 0.02
+"""Standard deviation of the phase, beyond which it adds jumps along paths: solutions are judged by
+whole surfaces then."""
+
 N_REFINED, ROUNDS = 3, 2
 """Solutions that are refined, and how often."""
 
@@ -355,7 +359,9 @@ def _judged(
 ) -> Solution:
     energy, orders = _surprise(tasks[0].frame, bias, known), []
     for task in tasks:
-        chosen = made_whole(task, task.decide(bias, scatter_px=JUDGED_SCATTER_PX))
+        chosen = task.decide(bias, scatter_px=JUDGED_SCATTER_PX)
+        if len(task.pixels) and np.median(task.first[1]) >= NOISE_THAT_JUMPS_RAD:
+            chosen = made_whole(task, chosen)
         seen = np.isfinite(chosen.cost)  # what lies beyond the border of C2 tells nothing
         cost = np.fmin(chosen.cost[seen] / 2, LARGEST_COST) * (len(seen) / max(1, seen.sum()))
         turns = absolute_turns(task, chosen.order, chosen.order != NO_ORDER)
