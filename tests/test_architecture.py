@@ -57,8 +57,8 @@ ALLOWED: dict[str, set[str]] = {
         "matching",
         "methods",
         "options",
+        "devices_moved",
         "segments",
-        "self_calibration",
         "triangulate",
     },
     # It keeps what depends on the rig in a file.
@@ -67,19 +67,18 @@ ALLOWED: dict[str, set[str]] = {
     "rig_bias": NOUNS | {"correspond", "decode", "matching", "options"},
     # Orders that a moved rig does not tell: it weighs them as a measurement does.
     "pose_search": NOUNS | {"correspond", "decode", "geometry", "matching"},
+    "recorded_points": NOUNS | {"calibrate", "correspond", "decode", "geometry", "patterns"},
+    "devices_moved": NOUNS | {"calibrate", "decode", "health", "recorded_points"},
     # The poses that recordings show: it decodes and matches as a measurement does.
     "self_calibration": NOUNS
     | {
         "calibrate",
-        "correspond",
         "decode",
-        "geometry",
-        "health",
         "matching",
         "methods",
         "options",
-        "patterns",
         "pose_search",
+        "recorded_points",
     },
     # What scans of a board show: it decodes them and hands the corners' light to the calibration.
     "board_scans": NOUNS | {"calibrate", "decode"},

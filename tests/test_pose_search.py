@@ -11,11 +11,10 @@ import pytest
 from board_series import device
 from closed_phases import small_rig
 from fringe3d import pose_search
-from fringe3d.correspond import DOUBT, Rivals, Solution
-from fringe3d.model import CalibrationBias, MeasuringVolume, RigidTransform
+from fringe3d.correspond import DOUBT, Rivals, Solution, epipolar_direction
+from fringe3d.model import CalibrationBias, RigidTransform
 from fringe3d.pose_search import Fit, fit_turned
 
-VOLUME = MeasuringVolume.box([-20, -20, 290], [20, 20, 310])
 BIAS = CalibrationBias(coefficients_px=np.zeros((2, 9)), middle=np.zeros(3), scale=np.ones(3))
 
 
@@ -27,7 +26,8 @@ def test_parallel_cameras_have_an_epipolar_direction(
     lens = ([900, 900], [320, 256], [0, 0, 0, 0])
     c1, c2 = (device(name, "camera", (640, 512), *lens) for name in ("c1", "c2"))
     pose = RigidTransform(rotation=np.eye(3), translation=place)
-    found = pose_search._epipolar_way(c1, replace(c2, device_from_world=pose), VOLUME)
+    moved = replace(c2, device_from_world=pose)
+    found = epipolar_direction(c1, moved, np.array([[320.0, 256.0], [100.0, 400.0]]), 300.0)
     np.testing.assert_allclose(found, -np.array(way), atol=1e-9)
 
 

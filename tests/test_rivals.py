@@ -24,7 +24,7 @@ from closed_phases import (
 from cv_lens import cv_project
 from fringe3d.correspond import Rivals, Task, TwoViews, coarse_stride, rivals
 from fringe3d.correspond.candidates import ChosenOrders
-from fringe3d.correspond.solving import Solution
+from fringe3d.correspond.solutions import Solution
 from fringe3d.model import NO_ORDER, CalibrationBias, Rejection, Rig
 
 pytestmark = pytest.mark.usefixtures("one_thread")

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.orders.voting import Unwrapping, by_library, deciding_by_vote, grown
-from fringe3d.correspond import curves, solving, weighing
+from fringe3d.correspond import curves, solutions, solving, weighing
 from fringe3d.correspond.choice import Choice
 from fringe3d.correspond.weighing import Task
 from fringe3d.model import CalibrationBias
@@ -90,12 +90,12 @@ def _not_refined() -> Patches:
 
 
 def _one_start() -> Patches:
-    return [patch.object(solving, "STARTS_PX", (0.0,)), patch.object(solving, "N_SURFACES", 0),
-            patch.object(solving, "N_LOOKS", 0)]  # fmt: skip
+    return [patch.object(solutions, "STARTS_PX", (0.0,)), patch.object(solutions, "N_SURFACES", 0),
+            patch.object(solutions, "N_LOOKS", 0)]  # fmt: skip
 
 
 def _no_jumps() -> Patches:
-    return [patch.object(solving, "STEP_PENALTY", 0.0)]
+    return [patch.object(solutions, "STEP_PENALTY", 0.0)]
 
 
 def _no_way_back() -> Patches:
@@ -127,7 +127,8 @@ def _fragments_kept() -> Patches:
 
 
 def _not_made_whole() -> Patches:
-    return [patch.object(solving, "made_whole", lambda _task, chosen, **_: chosen)]
+    return [patch.object(module, "made_whole", lambda _task, chosen, **_: chosen)
+            for module in (solving, solutions)]  # fmt: skip
 
 
 def _voting(unwrapping: Unwrapping) -> Callable[[], Patches]:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from fringe3d.correspond import twin_share
 from fringe3d.decode import CameraPhases, decode, decode_apart
+from fringe3d.devices_moved import check_moved
 from fringe3d.errors import CalibrationError, EmptyResultError, Fringe3DError, MethodError
 from fringe3d.health import (
     Finding,
@@ -45,7 +46,6 @@ from fringe3d.model import (
 from fringe3d.model.rejection import count_by_reason
 from fringe3d.options import MeasureOptions, keep_images, volume_of
 from fringe3d.segments import angles_without_code
-from fringe3d.self_calibration import check_moved
 from fringe3d.triangulate import (
     remove_edges,
     remove_isolated,

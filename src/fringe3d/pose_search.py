@@ -11,12 +11,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from fringe3d.correspond import DOUBT, Rivals, Solution, Task, rivals
+from fringe3d.correspond import DOUBT, Rivals, Solution, Task, epipolar_direction, rivals
 from fringe3d.decode import CameraPhases
-from fringe3d.geometry import depth_interval, pixel_grid, project, rays
+from fringe3d.geometry import depth_interval, pixel_grid, rays
 from fringe3d.matching import search_task
 from fringe3d.model import Device, MeasuringVolume, Rig, RigidTransform
 
@@ -120,18 +119,12 @@ def _turned(
 ) -> Rig:
     """Return the rig with its second camera turned, so that points move along epipolar lines."""
     camera1, camera2 = _cameras(rig, phases)
-    x, y = distance_px * _epipolar_way(camera1, camera2, volume) / camera2.focal_px
+    pixels = pixel_grid(camera1.shape)[::STEP, ::STEP].reshape(-1, 2)
+    middle = float(np.nanmedian(depth_interval(*rays(camera1, pixels), volume)))
+    way = epipolar_direction(camera1, camera2, pixels, middle)
+    x, y = distance_px * way / camera2.focal_px
     turn = RigidTransform(
         rotation=Rotation.from_rotvec([-y, x, 0.0]).as_matrix(), translation=[0, 0, 0]
     )
     moved = replace(camera2, device_from_world=turn @ camera2.device_from_world)
     return replace(rig, cameras=tuple(moved if c is camera2 else c for c in rig.cameras))
-
-
-def _epipolar_way(camera1: Device, camera2: Device, volume: MeasuringVolume) -> NDArray[np.float64]:
-    """Return the direction, (2,), in which C2 sees points of the volume move away from C1."""
-    origin, directions = rays(camera1, pixel_grid(camera1.shape)[::STEP, ::STEP].reshape(-1, 2))
-    middle = np.mean(depth_interval(origin, directions, volume), axis=0)[:, None]
-    ends = (project(camera2, origin + scale * middle * directions) for scale in (1.0, 1.001))
-    way = np.nanmean(np.subtract(*reversed(list(ends))), axis=0)
-    return np.asarray(way / np.linalg.norm(way))

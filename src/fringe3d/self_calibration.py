@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -13,52 +13,29 @@ from fringe3d.calibrate import (
     FittedPoses,
     Homologous,
     ball_center,
-    contradiction,
-    expected_contradiction,
     fit_poses,
     homologous_points,
     located,
-    moved_text,
-    which_moved,
 )
-from fringe3d.correspond import match_both_directions, match_cameras
 from fringe3d.decode import CameraPhases, decode, decode_apart
 from fringe3d.errors import EmptyResultError, MethodError
-from fringe3d.geometry import closest_depths, pixel_grid, project, rays
-from fringe3d.health import EPIPOLAR_WARNING_PX, Finding
-from fringe3d.health.finding import Level
 from fringe3d.matching import best_direction_first, match
 from fringe3d.methods import choose_method, images_of, settle
 from fringe3d.model import (
-    NO_ORDER,
     Correspondences,
     Device,
     PhaseMap,
-    Rejection,
     Rig,
-    RigCovariance,
     Scan,
 )
 from fringe3d.options import MeasureOptions, keep_images, volume_of
-from fringe3d.patterns import across
 from fringe3d.pose_search import LEAST_CERTAINTY, fit_as_it_is, fit_turned
+from fringe3d.recorded_points import freely_matched, homologous_of
 
 Floats = NDArray[np.float64]
 
 ROUNDS = 3
 """Points on epipolar curves are searched again with the poses found."""
-
-CONTRADICTIONS = ("epipolar_residual_px", "trinocular_residual_px", "lost_part")
-"""Findings after which it is asked which device moved."""
-
-SPARSE_POINTS = 30_000
-"""Pixels of C1 that are enough to tell which device moved."""
-
-FEW_POINTS = 4_000
-"""Pixels of C1 that are enough to tell whether one did."""
-
-LIMIT_FACTOR, LEAST_LIMIT_PX = 3.0, 0.1
-"""Of what calibration and noise let expect; and what response and interreflection may add."""
 
 NEAR_PX = 3.0
 """How far from a pixel of C1 the point may be that a known length begins at."""
@@ -203,101 +180,6 @@ def self_calibrate(
     )
 
 
-def check_moved(
-    findings: Sequence[Finding],
-    phases: Sequence[CameraPhases],
-    matches: Correspondences,
-    devices: Sequence[Device],
-    covariance: RigCovariance | None = None,
-    /,
-) -> list[Finding]:
-    """Say which device moved, where devices contradict each other by more than the calibration.
-
-    Parameters
-    ----------
-    findings : what the other checks found
-    phases : CameraPhases of two cameras; the direction that was matched first
-    matches : Correspondences of the second camera
-    devices : the cameras of `phases`, then the projector if there is one
-    covariance : RigCovariance or None
-        Of the calibration: the limit of the contradictions follows from it. Without one what other
-        checks found is asked, and the limit is 0.5 px.
-    """
-    found = [f for f in findings if f.name in CONTRADICTIONS and f.level != "ok"]
-    maps = [direction.main for direction in phases[0].directions]
-    if len(devices) < 3 or any(m.is_quantised for m in maps):
-        return []
-    limit, judged = EPIPOLAR_WARNING_PX, []
-    try:
-        if covariance is not None:
-            limit, value = _limit(phases, matches, devices, covariance)
-            if value < limit:
-                text = f"devices contradict each other by {value:.2f} px, at most {limit:.2f} px"
-                judged = [Finding("ok", "contradiction_px", value, f"{text} by the calibration")]
-            elif not found:
-                return _moved(phases, matches, devices, limit, level="warning")
-        if not found or judged:
-            return judged
-    except EmptyResultError:
-        pass
-    is_error = any(f.level == "error" for f in found)
-    return _moved(phases, matches, devices, limit, level="error" if is_error else "warning")
-
-
-def _limit(
-    phases: Sequence[CameraPhases],
-    matches: Correspondences,
-    devices: Sequence[Device],
-    covariance: RigCovariance,
-) -> tuple[float, float]:
-    """Return how far devices may contradict each other, and how far they do, px."""
-    few = np.zeros(matches.rejection.shape, bool)
-    step = max(1, round(np.sqrt(few.size / FEW_POINTS)))
-    few[::step, ::step] = True
-    sparse = replace(matches, rejection=np.where(few, matches.rejection, Rejection.NO_MATCH))
-    points = homologous_of(phases[:2], sparse, devices)
-    value = contradiction([points], devices)
-    if value < LEAST_LIMIT_PX:
-        return LEAST_LIMIT_PX, value
-    expected = LIMIT_FACTOR * expected_contradiction(points, devices, covariance)
-    return float(np.clip(expected, LEAST_LIMIT_PX, EPIPOLAR_WARNING_PX)), value
-
-
-def _moved(
-    phases: Sequence[CameraPhases],
-    matches: Correspondences,
-    devices: Sequence[Device],
-    limit_px: float,
-    *,
-    level: Level,
-) -> list[Finding]:
-    """Say which device moved; nothing below the limit."""
-    maps = [direction.main for direction in phases[0].directions]
-    pairs = zip(phases[1].directions, maps, strict=True)
-    sparse = [_sparse(m) for m in maps]
-    matches = _freely(sparse, [d.like(m) for d, m in pairs], devices) or matches
-    points = [homologous_of(phases[:2], matches, devices)]
-    try:
-        if contradiction(points, devices) < limit_px:
-            return []
-        moved = which_moved(points, devices)
-    except EmptyResultError:
-        return []
-    if moved.residual_px < EPIPOLAR_WARNING_PX and not moved.is_of_poses:
-        return []  # what is left is that of fringes, not of poses
-    again = "Calibrate again (--self-calibrate)" if moved.is_of_poses else "Calibrate with a board"
-    advice = f"{again}. Limit: {limit_px:.2f} px"
-    return [Finding(level, "moved_px", moved.residual_px, f"{moved_text(moved)}. {advice}")]
-
-
-def _sparse(phases: PhaseMap) -> PhaseMap:
-    """Return the phases of about `SPARSE_POINTS` pixels on a grid."""
-    step = max(1, round(np.sqrt(phases.rejection.size / SPARSE_POINTS)))
-    left_out = np.full(phases.rejection.shape, np.uint16(Rejection.NO_MATCH))
-    left_out[::step, ::step] = 0
-    return phases.rejecting(left_out)
-
-
 def _with_orders(
     recordings: Sequence[_Recording],
     rig: Rig,
@@ -395,81 +277,18 @@ def _homologous(recording: _Recording, rig: Rig, options: MeasureOptions) -> Hom
     return homologous_of(recording.phases, matches, devices, name=name)
 
 
-def homologous_of(
-    phases: Sequence[CameraPhases],
-    matches: Correspondences,
-    devices: Sequence[Device],
-    /,
-    *,
-    name: str = "",
-) -> Homologous:
-    """Return the homologous points of a measurement by two cameras or more.
-
-    Parameters
-    ----------
-    phases : CameraPhases of each camera; the direction that was matched first
-    matches : Correspondences of the second camera
-    devices : the cameras of `phases`, then the projector if there is one
-    name : str; of the scan
-    """
-    maps = [direction.main for direction in phases[0].directions]
-    good = matches.rejection == 0
-    origin, directions = rays(devices[0], pixel_grid(good.shape)[good])
-    depths, _ = closest_depths(origin, directions, *rays(devices[1], matches.pixels[good]))
-    points = np.full((*good.shape, 3), np.nan)
-    points[good] = origin + depths[:, None] * directions
-    projector = devices[-1] if devices[-1].role == "projector" else None
-    seen = []
-    for own, device in zip(phases[1:], devices[1:], strict=False):
-        pixels = matches.pixels if device is devices[1] else project(device, points)
-        pairs = zip(own.directions, maps, strict=True)
-        seen.append((device.name, pixels, [direction.like(main) for direction, main in pairs]))
-    orders: list[NDArray[np.int32] | None] = [matches.fringe_order, *[None] * (len(maps) - 1)]
-    positions = [_position(m, o, points, projector) for m, o in zip(maps, orders, strict=True)]
-    return homologous_points(maps, positions, seen, good, name=name)
-
-
-def _position(
-    phases: PhaseMap,
-    orders: NDArray[np.int32] | None,
-    points: Floats,
-    projector: Device | None,
-) -> Floats:
-    """Return the coordinate w of the light in C1, (row, col); orders not known: the likeliest."""
-    if phases.is_absolute:
-        return phases.position_px
-    turns = phases.phase.astype(np.float64) / (2 * np.pi)
-    if projector is None:
-        return np.asarray(turns * phases.period_px)  # only differences count
-    if orders is not None:
-        return np.asarray(np.where(orders == NO_ORDER, np.nan, turns + orders) * phases.period_px)
-    x, y = np.moveaxis(project(projector, points), -1, 0)
-    predicted = across(phases.angle, x, y) / phases.period_px
-    return np.asarray((turns + np.rint(predicted - turns)) * phases.period_px)
-
-
 def _matches(
     recording: _Recording, devices: Sequence[Device], rig: Rig, options: MeasureOptions
 ) -> Correspondences:
     """Find the points of the second camera; where orders are known, without the projector."""
     c1, c2 = devices[:2]
-    found = _freely(recording.maps, recording.maps_of(1), devices)
+    found = freely_matched(recording.maps, recording.maps_of(1), devices)
     if found is not None:
         return found
     further = devices[2 : len(recording.phases)]
     volume = volume_of(rig, c1.name, options)
     return match(recording.phases, c1, c2, rig.projector, volume, method=recording.method,
                  options=options, bias=rig.bias, cameras=further).matches  # fmt: skip
-
-
-def _freely(
-    maps: Sequence[PhaseMap], maps2: Sequence[PhaseMap], devices: Sequence[Device]
-) -> Correspondences | None:
-    """Return the points of the second camera without projector and volume; None without a code."""
-    c1, c2 = devices[:2]
-    if len(maps) > 1 and all(m.is_absolute for m in (*maps[:2], *maps2[:2])):
-        return match_both_directions((maps[0], maps[1]), (maps2[0], maps2[1]), c1, c2)
-    return match_cameras(maps[0], maps2[0], c1, c2, None) if maps[0].is_absolute else None
 
 
 def distance_of(length: KnownLength, points: Homologous, devices: Sequence[Device], /) -> float:

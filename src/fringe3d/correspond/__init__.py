@@ -15,7 +15,8 @@ from fringe3d.correspond.projector import (
 )
 from fringe3d.correspond.single import confirm_orders
 from fringe3d.correspond.smoothing import averaged_phase, quiet
-from fringe3d.correspond.solving import DOUBT, Rivals, Solution, coarse_stride, rivals
+from fringe3d.correspond.solutions import DOUBT, Rivals, Solution, epipolar_direction, rivals
+from fringe3d.correspond.solving import coarse_stride
 from fringe3d.correspond.stereo import fringe_crossing, match_cameras
 from fringe3d.correspond.weighing import Task, TwoViews
 from fringe3d.correspond.witnesses import Witnesses
@@ -35,6 +36,7 @@ __all__ = [
     "choose_orders",
     "coarse_stride",
     "confirm_orders",
+    "epipolar_direction",
     "fringe_crossing",
     "guard_px",
     "keep_curves",

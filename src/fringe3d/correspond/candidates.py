@@ -19,14 +19,12 @@ from fringe3d.correspond.choice import Choice
 from fringe3d.correspond.clear import choose_clearly, is_regular
 from fringe3d.correspond.direct import Judging
 from fringe3d.correspond.smoothing import quiet
+from fringe3d.correspond.solutions import DOUBT, rivals, rivals_around
 from fringe3d.correspond.solving import (
-    DOUBT,
     coarse_stride,
     learnt_from,
     nothing_known,
     refined,
-    rivals,
-    rivals_around,
     solve,
 )
 from fringe3d.correspond.strictness import doubtful

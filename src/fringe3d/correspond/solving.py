@@ -1,155 +1,34 @@
-"""Orders and bias together: each tells the other.
-
-A wrong bias goes with wrong orders that fit nearly as well: an iteration finds the solution that is
-nearest to its start. So it starts at several places, and what comes out is compared.
-"""
+"""Orders by a bias, and the bias by orders: each tells the other."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
-from fringe3d.correspond._aggregate import STEP_PENALTY
 from fringe3d.correspond.bias import (
     LEAST_PART,
     LEAST_PIXELS,
     PATCH_PX,
     Frame,
-    expected,
     joined,
     learn_bias,
 )
 from fringe3d.correspond.choice import Choice
-from fringe3d.correspond.surfaces import CONTINUOUS, absolute_turns, made_whole, surfaces
-from fringe3d.correspond.weighing import (
-    CLEAR,
-    EXPECTED_CALIBRATION_PX,
-    LARGEST_COST,
-    LARGEST_EXTRA,
-    Task,
-)
-from fringe3d.geometry import project, rays
+from fringe3d.correspond.surfaces import made_whole
+from fringe3d.correspond.weighing import CLEAR, EXPECTED_CALIBRATION_PX, Task
 from fringe3d.model import NO_ORDER, CalibrationBias
-from fringe3d.model.bias import N_TERMS
-
-STARTS_PX = tuple(0.2 * step for step in range(-4, 5))
-"""Along the epipolar lines; a nearly symmetric rig has another solution every quarter pixel."""
-
-START_SCATTER_PX, JUDGED_SCATTER_PX = 0.15, 0.08
-"""Calibration error that a start leaves to be learnt, and the one by which solutions are judged."""
-
-NOISE_THAT_JUMPS_RAD = 0.02
-"""Standard deviation of the phase, beyond which it adds jumps along paths: solutions are judged by
-whole surfaces then."""
-
-N_REFINED, ROUNDS = 3, 2
-"""Solutions that are refined, and how often."""
 
 REFINEMENTS = 3
 """How often a stored bias is refined, and decided with."""
-
-SPREAD, LEAST_SHIFT_PX = 3.0, 0.15
-"""Standard deviations of a stored bias within which there may be another solution, and how far away
-it is at least."""
-
-N_LOOKS, NUDGE_PX = 3, 0.3
-"""How often better solutions are sought around the best one, and how far away."""
-
-MEMORY, MOTION_TURNS = 4.0, 0.5
-"""Weight of the frame before: it settles what else is nearly as likely, odds of 50 to 1, and no
-more; and the periods by which a pixel's phase typically changes between two frames."""
-
-N_SURFACES, LEAST_SURFACE = 2, 0.03
-"""Surfaces that may be right where others are not: the largest, of so many of the pixels. What one
-of them tells of the bias is then carried to all."""
-
-LEAST_WEIGHT = 1e-4
-
-DOUBT = 4.0
-"""By which the evidence between solutions is divided where a single recording decides. Thousands of
-residuals share the errors of optics and calibration: a wrong solution has been seen to win by 4
-half squared deviations."""
-
-SAME_PART = 0.995
 
 MOST_PHASE_STEP = 1.5
 """rad; between the pixels of the coarse grid, along which the phase is continued."""
 
 COARSE_STEPS, STEP_LINES = (4, 3, 2), 256
 """Steps that are tried, and lines on which the phase is looked at."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Solution:
-    """A bias, the orders (n,) that go with it in each task, and what speaks against both (half
-    squared deviations, the size of the bias included)."""
-
-    bias: CalibrationBias
-    orders: tuple[NDArray[np.int32], ...]
-    energy: float
-
-    def resembles(self, other: Solution) -> bool:
-        """Tell whether nearly all orders are the same."""
-        same = [a == b for a, b in zip(self.orders, other.orders, strict=True)]
-        return float(np.concatenate(same).mean()) > SAME_PART
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Rivals:
-    """Solutions that the images leave possible, the best first, and their weights (sum 1)."""
-
-    tasks: tuple[Task, ...]
-    solutions: tuple[Solution, ...]
-    weights: NDArray[np.float64]
-
-    @property
-    def best(self) -> CalibrationBias:
-        """Return the bias of the best solution."""
-        return self.solutions[0].bias
-
-    def agreements(self, *, doubt: float = 1.0) -> NDArray[np.float64]:
-        """Return `agreement` for the pixels of all tasks, (n,)."""
-        parts = [
-            self.agreement(task.views.phases1.phase.shape, number=number, doubt=doubt)[task.grid]
-            for number, task in enumerate(self.tasks)
-        ]
-        return np.concatenate([p[t.valid] for p, t in zip(parts, self.tasks, strict=True)])
-
-    def shift(self) -> int:
-        """Return by how many orders the second solution differs from the best where it does."""
-        if len(self.solutions) < 2:
-            return 0
-        best, second = (np.concatenate(s.orders) for s in self.solutions[:2])
-        apart = np.abs(best - second)[(best != second) & (best != NO_ORDER) & (second != NO_ORDER)]
-        return int(np.median(apart)) if len(apart) else 0
-
-    def agreement(
-        self, shape: tuple[int, int], /, *, number: int = 0, doubt: float = 1.0
-    ) -> NDArray[np.float64]:
-        """Return the weight of the solutions whose order is that of the best one, (row, col).
-
-        `doubt` divides the evidence that tells the solutions apart.
-        """
-        task, best = self.tasks[number], self.solutions[0].orders[number]
-        weights = self.weights ** (1 / doubt)
-        weights /= weights.sum()
-        coarse = np.ones(task.valid.shape)
-        coarse[task.valid] = sum(
-            weight * (solution.orders[number] == best)
-            for weight, solution in zip(weights, self.solutions, strict=True)
-        )
-        if task.valid.any():  # a cell whose sampled pixel is rejected follows the nearest one
-            steps = [s.step for s in task.grid]
-            nearest = ndimage.distance_transform_edt(
-                ~task.valid, sampling=steps, return_distances=False, return_indices=True
-            )
-            coarse = coarse[tuple(nearest)]
-        rows, cols = (np.arange(n) // s.step for n, s in zip(shape, task.grid, strict=True))
-        return np.asarray(coarse[np.ix_(rows, cols)])
 
 
 def solve(
@@ -165,39 +44,6 @@ def solve(
     return (made_whole(task, chosen, doubts=doubts) if task.together else chosen), bias
 
 
-def rivals_around(task: Task, known: CalibrationBias, /) -> Rivals | None:
-    """Find the biases around a stored one that go with the images, and how probable each is.
-
-    Where it is not known to a part of the distance of two solutions, the images tell which it is.
-
-    Returns
-    -------
-    Rivals or None where there is nothing to learn, or nobody knows how well the bias is known
-
-    Notes
-    -----
-    Weights as in `rivals`, with the stored bias and its covariance for what is expected.
-    """
-    if known.covariance_px2 is None or not len(task.pixels):
-        return None
-    found: list[Solution] = []
-    for start in _starts_around(task, known):
-        _keep(found, _judged([task], refined(task, known, start=start), known))
-    found.sort(key=lambda s: s.energy)
-    return _weighed([task], found)
-
-
-def _starts_around(task: Task, known: CalibrationBias) -> Iterator[CalibrationBias]:
-    """Yield a stored bias, and what it may be instead along the epipolar lines."""
-    way = _epipolar_direction(task)
-    spread = SPREAD * float(np.sqrt(known.covariance_along(way)[0, 0]))
-    for shift in STARTS_PX:
-        if shift == 0 or LEAST_SHIFT_PX < abs(shift) < spread:
-            coefficients = known.coefficients_px.copy()
-            coefficients[:, 0] += shift * way
-            yield replace(known, coefficients_px=coefficients)
-
-
 def refined(
     task: Task, known: CalibrationBias, /, *, start: CalibrationBias | None = None
 ) -> CalibrationBias:
@@ -211,11 +57,11 @@ def refined(
         return known
     for _ in range(REFINEMENTS):
         chosen = made_whole(task, task.decide(bias))
-        clear = _clear(task, chosen)
+        clear = clear_ones(task, chosen)
         if not clear.any():
             return bias
         evidence = chosen.clear(task.pixels, clear)
-        learnt = learn_bias(evidence, frame, start=bias, known=known, n_alike=_n_alike(task))
+        learnt = learn_bias(evidence, frame, start=bias, known=known, n_alike=n_alike(task))
         # What one scene follows smoothly another need not.
         bias = replace(learnt, scatter_px=max(learnt.scatter_px, known.scatter_px))
     return bias
@@ -227,7 +73,7 @@ def _learnt_once(task: Task) -> CalibrationBias:
 
 def learnt_from(task: Task, chosen: Choice, /) -> CalibrationBias:
     """Return the bias that the clear ones of given decisions show; unknown if they are too few."""
-    learnt = _learnt([task], [chosen], None)
+    learnt = learnt_together([task], [chosen], None)
     # It serves the pixels that show it: what is unknown of it elsewhere does not matter.
     return nothing_known(task) if learnt is None else replace(learnt, covariance_px2=None)
 
@@ -235,104 +81,6 @@ def learnt_from(task: Task, chosen: Choice, /) -> CalibrationBias:
 def nothing_known(task: Task, /) -> CalibrationBias:
     """Return a bias of 0 that may be wrong by as much as calibrations are."""
     return task.frame.constant((0.0, 0.0), scatter_px=EXPECTED_CALIBRATION_PX)
-
-
-def rivals(tasks: Sequence[Task], /) -> Rivals | None:
-    """Find the biases that go with the images, and how probable each is.
-
-    Parameters
-    ----------
-    tasks : Task of each measurement with the same rig, on a coarse grid; empty ones are left out
-
-    Returns
-    -------
-    Rivals or None where too little is clear to learn anything
-
-    Notes
-    -----
-    The weight is ``exp(-E)``, ``E = n_patches * mean(min(r^2 / 2 sigma^2, 1.2) + others + 5 jumps)
-    + |c / prior|^2 / 2 + 4 change``, others being the costs of further fringes and cameras, change
-    the part of the pixels whose phase is not that of the frame before.
-    Neighbours within a patch share their errors and count once; a jump of the absolute phase
-    between neighbours is a depth edge, of which all solutions see the true ones.
-    """
-    tasks = [task for task in tasks if len(task.pixels)]
-    if not tasks:
-        return None
-    way, frame = _epipolar_direction(tasks[0]), tasks[0].frame
-    starts = [frame.constant(tuple(s * way), scatter_px=START_SCATTER_PX) for s in STARTS_PX]
-    begun = [s for start in starts if (s := _improved(tasks, start)) is not None]
-    found: list[Solution] = []
-    for first in sorted(begun, key=lambda s: s.energy)[:N_REFINED]:
-        for one in (first, *_from_surfaces(tasks, first)):
-            refined = one
-            for _ in range(ROUNDS):
-                refined = _improved(tasks, refined.bias) or refined
-            _keep(found, refined)
-    if not found:
-        return None
-    _look_around(tasks, found, way)
-    rest = _weighed(tasks, found)
-    return replace(rest, solutions=tuple(_of_whole_surfaces(tasks, s) for s in rest.solutions))
-
-
-def _weighed(tasks: Sequence[Task], found: Sequence[Solution]) -> Rivals:
-    """Return the solutions, the best first, that are not ruled out by it."""
-    weights = np.exp([found[0].energy - s.energy for s in found])
-    n = int((weights > LEAST_WEIGHT).sum())
-    return Rivals(tuple(tasks), tuple(found[:n]), weights[:n] / weights[:n].sum())
-
-
-def _of_whole_surfaces(tasks: Sequence[Task], solution: Solution) -> Solution:
-    """Return a solution with the bias that its surfaces show, each as a whole.
-
-    Where C2 does not see a surface any more, orders that it sees may fit by chance, and bend the
-    bias. (To look for solutions so would miss some: a surface goes all the way or not at all.)
-    """
-    bias = solution.bias
-    for _ in range(REFINEMENTS):
-        whole = [made_whole(task, task.decide(bias)) for task in tasks]
-        bias = _learnt(tasks, whole, bias) or bias
-    return replace(_judged(tasks, bias), energy=solution.energy)
-
-
-def _keep(found: list[Solution], other: Solution) -> None:
-    """Add a solution; of those that resemble each other the best stays."""
-    alike = [number for number, known in enumerate(found) if other.resembles(known)]
-    if all(other.energy < found[number].energy for number in alike):
-        found[:] = [known for number, known in enumerate(found) if number not in alike]
-        found.append(other)
-
-
-def _look_around(tasks: Sequence[Task], found: list[Solution], way: NDArray[np.float64]) -> None:
-    """Add the solutions around the best one as long as there are better ones, and sort all.
-
-    A start in the wrong valley shows itself by this: one term of the bias, moved by as much as
-    calibrations are wrong by, leads to a better one.
-    """
-    found.sort(key=lambda s: s.energy)
-    for _ in range(N_LOOKS):
-        best = found[0]
-        for other in _around(tasks, best, way):
-            _keep(found, other)
-        found.sort(key=lambda s: s.energy)
-        if found[0] is best:
-            return
-
-
-def _around(
-    tasks: Sequence[Task], solution: Solution, way: NDArray[np.float64]
-) -> Iterator[Solution]:
-    """Yield what comes out where one term of the bias is moved, along the epipolar lines."""
-    for term in range(N_TERMS):
-        for nudge in (NUDGE_PX, -NUDGE_PX):
-            coefficients = solution.bias.coefficients_px.copy()
-            coefficients[:, term] += nudge * way
-            moved = _improved(tasks, replace(
-                solution.bias, coefficients_px=coefficients, scatter_px=START_SCATTER_PX
-            ))  # fmt: skip
-            if moved is not None:
-                yield moved
 
 
 def coarse_stride(phase: NDArray[np.float32], /) -> tuple[int, int]:
@@ -347,95 +95,26 @@ def _step_along(phase: NDArray[np.float32]) -> int:
     return next((s for s in COARSE_STEPS if s * typical < MOST_PHASE_STEP), 1)
 
 
-def _improved(tasks: Sequence[Task], bias: CalibrationBias) -> Solution | None:
-    """Choose, learn and choose again; None where nothing can be learnt."""
-    chosen = [task.decide(bias) for task in tasks]
-    learnt = _learnt(tasks, chosen, bias)
-    return None if learnt is None else _judged(tasks, learnt)
-
-
-def _judged(
-    tasks: Sequence[Task], bias: CalibrationBias, known: CalibrationBias | None = None
-) -> Solution:
-    energy, orders = _surprise(tasks[0].frame, bias, known), []
-    for task in tasks:
-        chosen = task.decide(bias, scatter_px=JUDGED_SCATTER_PX)
-        if len(task.pixels) and np.median(task.first[1]) >= NOISE_THAT_JUMPS_RAD:
-            chosen = made_whole(task, chosen)
-        seen = np.isfinite(chosen.cost)  # what lies beyond the border of C2 tells nothing
-        cost = np.fmin(chosen.cost[seen] / 2, LARGEST_COST) * (len(seen) / max(1, seen.sum()))
-        turns = absolute_turns(task, chosen.order, chosen.order != NO_ORDER)
-        jumps = sum(int((np.abs(np.diff(turns, axis=axis)) > CONTINUOUS).sum()) for axis in (0, 1))
-        energy += MEMORY * _change(task, chosen)
-        others = np.minimum(chosen.extra / 2, LARGEST_EXTRA)
-        energy += (float(cost.sum()) + float(others.sum()) + STEP_PENALTY * jumps) / _n_alike(task)
-        orders.append(chosen.order)
-    return Solution(bias, tuple(orders), energy)
-
-
-def _surprise(frame: Frame, bias: CalibrationBias, known: CalibrationBias | None) -> float:
-    """Return half the squared deviation of a bias from what is expected."""
-    mean, precision = expected(frame, known)
-    apart = bias.coefficients_px.ravel() - mean
-    return 0.5 * float(apart @ precision @ apart)
-
-
-def _change(task: Task, chosen: Choice) -> float:
-    """Return how much has changed since the frame before, 0 to 1."""
-    known = np.isfinite(task.before) & (chosen.order != NO_ORDER)
-    if not known.any():
-        return 0.0
-    turns = chosen.order[known] + task.first[0][known] / (2 * np.pi)
-    return float(np.fmin(((turns - task.before[known]) / MOTION_TURNS) ** 2, 1).mean())
-
-
-def _from_surfaces(tasks: Sequence[Task], solution: Solution) -> Iterator[Solution]:
-    """Yield the solutions that one surface alone leads to."""
-    chosen = [task.decide(solution.bias) for task in tasks]
-    clear = [_clear(task, c) for task, c in zip(tasks, chosen, strict=True)]
-    candidates = []
-    for number, (task, c, where) in enumerate(zip(tasks, chosen, clear, strict=True)):
-        label = surfaces(task, c.order, where)
-        sizes = np.bincount(label) if len(label) else np.zeros(0, int)
-        candidates += [(int(sizes[k]), number, np.flatnonzero(where)[label == k])
-                       for k in np.argsort(sizes)[::-1][:N_SURFACES]]  # fmt: skip
-    n = sum(len(where) for where in clear)
-    for size, number, index in sorted(candidates, key=lambda c: -c[0])[:N_SURFACES]:
-        if size < LEAST_SURFACE * n:
-            return
-        task = tasks[number]
-        learnt = learn_bias(chosen[number].clear(task.pixels, index), tasks[0].frame,
-                            start=solution.bias, n_alike=_n_alike(task))  # fmt: skip
-        yield _judged(tasks, learnt)
-
-
-def _clear(task: Task, chosen: Choice) -> NDArray[np.bool_]:
+def clear_ones(task: Task, chosen: Choice, /) -> NDArray[np.bool_]:
+    """Tell which decisions, (n,), are clear enough to learn from."""
     return np.asarray((chosen.probability > CLEAR) & (chosen.cost < task.limit))
 
 
-def _learnt(
-    tasks: Sequence[Task], chosen: Sequence[Choice], start: CalibrationBias | None
+def learnt_together(
+    tasks: Sequence[Task], chosen: Sequence[Choice], start: CalibrationBias | None, /
 ) -> CalibrationBias | None:
-    clear = [_clear(task, c) for task, c in zip(tasks, chosen, strict=True)]
+    """Return the bias that the clear decisions of all tasks show; None where they are too few."""
+    clear = [clear_ones(task, c) for task, c in zip(tasks, chosen, strict=True)]
     n_clear = sum(int(where.sum()) for where in clear)
-    least = LEAST_PIXELS / PATCH_PX**2 * _n_alike(tasks[0])
+    least = LEAST_PIXELS / PATCH_PX**2 * n_alike(tasks[0])
     if n_clear < max(least, LEAST_PART * sum((c.order != NO_ORDER).sum() for c in chosen)):
         return None
     evidence = joined(
         [c.clear(t.pixels, where) for t, c, where in zip(tasks, chosen, clear, strict=True)]
     )
-    return learn_bias(evidence, tasks[0].frame, start=start, n_alike=_n_alike(tasks[0]))
+    return learn_bias(evidence, tasks[0].frame, start=start, n_alike=n_alike(tasks[0]))
 
 
-def _n_alike(task: Task) -> float:
+def n_alike(task: Task, /) -> float:
+    """Return how many pixels of a task's grid are alike, as a patch is."""
     return max(1.0, PATCH_PX**2 / (task.grid[0].step * task.grid[1].step))
-
-
-def _epipolar_direction(task: Task) -> NDArray[np.float64]:
-    """Return the mean direction, (2,), in which C2 sees points move that leave C1."""
-    middle = float(task.frame.middle[2])
-    origin, directions = rays(task.views.camera1, task.pixels)
-    camera2 = task.views.camera2
-    moved = project(camera2, origin + 1.001 * middle * directions)
-    way = np.nanmean(moved - project(camera2, origin + middle * directions), axis=0)
-    return np.asarray(way / max(float(np.linalg.norm(way)), 1e-12))
