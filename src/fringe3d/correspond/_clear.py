@@ -1,32 +1,24 @@
 """Pixels that decide alone: of the orders of their class one is seen by C2, all others are refuted;
-compiled. It uses the parts of `_direct`."""
+compiled."""
 
 from __future__ import annotations
 
 import numpy as np
 from numba import njit
 
-from fringe3d.correspond._direct import (
+from fringe3d.correspond._tile import (
     COMPILED,
-    DX,
-    DY,
     FAR,
     FX,
     GUARD,
-    GX,
-    GY,
     HALF_PX,
     HIGH,
-    INNER_HIGH,
-    INNER_LOW,
     LOW,
-    MODEL_VARIANCE,
     N_PLACES,
     N_WORK,
     NAN,
     NEAR,
     NOISE,
-    NOISE_2,
     ONE,
     ORDER,
     ORDER_A,
@@ -47,14 +39,18 @@ from fringe3d.correspond._direct import (
     W,
     X,
     Y,
+    along_row,
     compare,
+    expect,
     fetch,
     fetch_orders,
     find_cells,
     find_noise,
     follow_curves,
+    is_in_volume,
     load,
     load_rays,
+    reach_of,
 )  # fmt: skip
 
 f4, i4, u1 = np.float32, np.int32, np.uint8
@@ -68,8 +64,10 @@ HALF_WAY, PLACE, PLACE_SIGMA, DEPTH, BEST_X, BEST_Y = range(
 )
 N_ALL = N_WORK + 13 * PART
 
-LEAST_RATE = f4(0.1)
-"""See `candidates.LEAST_PLACING_RATIO`."""
+LEAST_PLACING_RATIO = 0.1
+"""Of the phases that C2 and the projector see along a ray; with less C2 tells no place on it."""
+
+LEAST_RATE = f4(LEAST_PLACING_RATIO)
 
 
 @njit(**COMPILED)
@@ -123,31 +121,12 @@ def _has_class(i, phase, there, code, work):  # type: ignore[no-untyped-def]
 @njit(**COMPILED)
 def weigh(n, row, left, period, code, field, limits, work):  # type: ignore[no-untyped-def]
     """Judge the orders in one place of the lists, see `_direct.judge`, and keep what fits."""
-    x0, y0, t0, xx, yx, tx = field[0], field[1], field[2], field[3], field[4], field[5]
-    c0, c1, c2, c3, c4, c5 = field[6], field[7], field[8], field[9], field[10], field[11]
-    c6, c7, c8, d0, d1, d2 = field[12], field[13], field[14], field[15], field[16], field[17]
-    d3, d4, d5, d6, d7, d8 = field[18], field[19], field[20], field[21], field[22], field[23]
     scatter, most_cost, most_variance = limits[0], limits[1], limits[2]
-    least_search, most_search, least_ratio = limits[3], limits[4], limits[5]
-    v = (f4(row) - y0) * yx
-    x_0, x_1, y_0, y_1 = c0 + v * (c2 + c5 * v), c1 + c4 * v, d0 + v * (d2 + d5 * v), d1 + d4 * v
-    rise_x, rise_y = c6 + c8 * v, d6 + d8 * v
+    search, terms = (limits[3], limits[4], limits[5]), along_row(row, field)
     for i in range(n):
         same = _has_class(i, A, ORDER_A, code, work) | _has_class(i, B, ORDER_B, code, work)
         same |= _has_class(i, C, ORDER_C, code, work) | _has_class(i, D, ORDER_D, code, work)
-        u, s = (f4(left + i) - x0) * xx, (work[T + i] - t0) * tx
-        moved_x = x_0 + u * (x_1 + c3 * u) + (rise_x + c7 * u) * s
-        moved_y = y_0 + u * (y_1 + d3 * u) + (rise_y + d7 * u) * s
-        gx, gy = work[GX + i] * PER_TURN, work[GY + i] * PER_TURN
-        difference = work[R + i] * PER_TURN
-        expected = gx * moved_x + gy * moved_y
-        residual = difference - expected
-        residual -= np.rint(residual)
-        ratio = (gx * work[DX + i] + gy * work[DY + i]) * period
-        own = (ratio - ONE) * work[NOISE + i]
-        spread = (gx * gx + gy * gy) * (scatter * scatter)
-        variance = (work[NOISE_2 + i] * work[NOISE_2 + i] + own * own) * (PER_TURN * PER_TURN)
-        variance += MODEL_VARIANCE + spread
+        residual, expected, variance, unknown, ratio = expect(i, left, period, terms, scatter, work)
         listed = work[ORDER + i] <= work[HIGHEST + i]
         beyond = (work[X + i] == work[X + i]) & (not work[FX + i] >= ZERO)  # of what C2 sees
         judged = variance + abs(residual) < most_variance + ONE
@@ -159,16 +138,14 @@ def weigh(n, row, left, period, code, field, limits, work):  # type: ignore[no-u
         # if something else fits.
         work[N_OTHER + i] += ZERO if (not listed) | fits | refuted else ONE if unseen else f4(100)
         work[N_FIT + i] += ONE if fits else ZERO
-        reach = abs(difference) + f4(4) * np.sqrt(variance)
-        reach = min(max(reach, least_search), most_search) / max(abs(ratio), least_ratio)
         rate = ratio if abs(ratio) > LEAST_RATE else NAN
         noise = work[NOISE + i] * PER_TURN
-        low, high = work[INNER_LOW + i] - work[GUARD + i], work[INNER_HIGH + i] + work[GUARD + i]
-        inside = (work[W + i] >= low) & (work[W + i] <= high)
-        sigma = np.sqrt(noise * noise + spread / (rate * rate)) * period
-        work[INSIDE + i] = (ONE if inside else ZERO) if fits else work[INSIDE + i]
+        sigma = np.sqrt(noise * noise + unknown / (rate * rate)) * period
+        inside = ONE if is_in_volume(i, work) else ZERO
+        half = reach_of(i, variance, ratio, search, period, work)
+        work[INSIDE + i] = inside if fits else work[INSIDE + i]
         work[BEST + i] = work[ORDER + i] if fits else work[BEST + i]
-        work[HALF_WAY + i] = min(reach, HALF_PX) * period if fits else work[HALF_WAY + i]
+        work[HALF_WAY + i] = half if fits else work[HALF_WAY + i]
         work[PLACE + i] = -expected / rate * period if fits else work[PLACE + i]
         work[PLACE_SIGMA + i] = sigma if fits else work[PLACE_SIGMA + i]
         work[DEPTH + i] = work[T + i] if fits else work[DEPTH + i]

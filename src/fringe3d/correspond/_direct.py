@@ -1,30 +1,93 @@
 """Points of pixels whose fringe order is known, a part of a row at a time, compiled.
 
 What most pixels need: the place in C2 that the order's light sheet demands, a few steps to where
-the phase is that of C1, the last one on the exact curve, and the point. All numbers of a tile lie
-in one scratch, whose parts the compiler sees apart: inner loops over the pixels, without a branch,
-become vector instructions; what they read from maps is fetched beforehand. Pixels that need more
+the phase is that of C1, the last one on the exact curve, and the point. Pixels that need more
 (holes, edges, several crossings) are left to `_single.confirm` and `_near.search_near`, which say
 the same one pixel at a time.
 """
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numba import njit
 
-from fringe3d.correspond import _curves
-from fringe3d.correspond._orders import MODEL_ERROR
-from fringe3d.correspond._phase import INTERPOLATION_WEIGHT, MAX_JUMP
+from fringe3d.correspond._phase import INTERPOLATION_WEIGHT
+from fringe3d.correspond._tile import (
+    AT_T,
+    AT_X,
+    AT_Y,
+    COMPILED,
+    DT,
+    DX,
+    DY,
+    FAR,
+    FX,
+    GUARD,
+    GX,
+    GY,
+    HALF,
+    HALF_PX,
+    HARD,
+    HIGH,
+    LEFT,
+    LOW,
+    N_PLACES,
+    N_WORK,
+    NAN,
+    NEAR,
+    NOISE,
+    NOISE_2,
+    NOTHING,
+    ONE,
+    ORDER,
+    ORDER_A,
+    ORDER_B,
+    ORDER_C,
+    ORDER_D,
+    PER_TURN,
+    PHI,
+    RAY_X,
+    RAY_Y,
+    RAY_Z,
+    REASON,
+    RIGHT,
+    SIGMA,
+    SIGMA_PX,
+    SLOPE,
+    START,
+    TILE,
+    WAY_X,
+    WAY_Y,
+    ZERO,
+    A,
+    B,
+    C,
+    D,
+    R,
+    T,
+    W,
+    X,
+    Y,
+    along_row,
+    compare,
+    expect,
+    f4,
+    fetch,
+    fetch_orders,
+    find_cells,
+    find_noise,
+    follow_curves,
+    i4,
+    is_in_volume,
+    load,
+    load_rays,
+    reach_of,
+    wrap,
+)  # fmt: skip
 from fringe3d.geometry._lens import project_normalized
 from fringe3d.model import Rejection
 
-f4, i4, u4, u2 = np.float32, np.int32, np.uint32, np.uint16
-
-TILE = 256
-"""Pixels at once: their scratch stays in the processor's first two caches."""
+u4, u2 = np.uint32, np.uint16
 
 CURVE_STEPS = 2
 """Steps with the curve of the pixel, which is exact to a thousandth of a pixel, before the exact
@@ -43,71 +106,14 @@ MOST_PIXELS = f4(8)
 MOST_PART_OF_DEPTH = f4(0.01)
 """Standard deviation of a point; what is less certain is judged by `triangulate`."""
 
-# Parts of the scratch of a tile, float32, at distances that are no multiple of 4 KiB; see
-# `decode._fused`. PHI to NOISE: C1; A to D: what is fetched from C2.
-PART = TILE + 16
-CURVE = 0
-PHI, ORDER, NOISE, W, START, GUARD, NEAR, FAR = range(16 * PART, 24 * PART, PART)
-LOW, HIGH, INNER_LOW, INNER_HIGH, T, X, Y, DT, DX, DY = range(24 * PART, 34 * PART, PART)
-FX, FY, A, B, C, D, R, GX, GY, NOISE_2 = range(34 * PART, 44 * PART, PART)
-HALF, LEFT, RIGHT, WAY_X, WAY_Y, SLOPE, HARD, REASON = range(44 * PART, 52 * PART, PART)
-SIGMA, SIGMA_PX, NOTHING = range(52 * PART, 55 * PART, PART)
-ORDER_A, ORDER_B, ORDER_C, ORDER_D = range(55 * PART, 59 * PART, PART)
-N_WORK = 59 * PART
-AT_X, AT_Y, AT_T, RAY_X, RAY_Y, RAY_Z = range(0, 6 * PART, PART)
-"""The same in double precision."""
-
-N_PLACES = 6 * PART
-
-ZERO, HALF_PX, ONE, NAN = f4(0), f4(0.5), f4(1), f4(np.nan)
-TURN, PER_TURN = f4(2 * np.pi), f4(1 / (2 * np.pi))
-MODEL_VARIANCE = f4(MODEL_ERROR**2)
 WEIGHT = f4(INTERPOLATION_WEIGHT)
 OUTSIDE_VOLUME, NO_MATCH = f4(Rejection.OUTSIDE_VOLUME), f4(Rejection.NO_MATCH)
-
-COMPILED: dict[str, Any] = {
-    "cache": True, "error_model": "numpy", "fastmath": {"contract", "nsz", "arcp"}, "_nrt": False,
-}  # fmt: skip
-
-
-@njit(**COMPILED, inline="always")
-def _wrap(angle):  # type: ignore[no-untyped-def]
-    return angle - TURN * np.rint(angle * PER_TURN)
 
 
 @njit(**COMPILED)
 def _put(values, work, part):  # type: ignore[no-untyped-def]
     for i in range(len(values)):
         work[part + i] = values[i]
-
-
-@njit(**COMPILED)
-def load(n, first, spans, work):  # type: ignore[no-untyped-def]
-    """Bring what is known of the pixels of a tile into the scratch."""
-    phase, order, sigma = first
-    ends, wide, inner = spans
-    for i in range(n):
-        work[PHI + i] = phase[i]
-    for i in range(n):
-        work[ORDER + i] = order[i]
-    for i in range(n):
-        work[NOISE + i] = sigma[i]
-    for i in range(n):
-        work[NEAR + i], work[FAR + i] = ends[i, 0], ends[i, 1]
-    for i in range(n):
-        work[LOW + i], work[HIGH + i] = wide[i, 0], wide[i, 1]
-    for i in range(n):
-        work[INNER_LOW + i], work[INNER_HIGH + i] = inner[i, 0], inner[i, 1]
-
-
-@njit(**COMPILED)
-def load_rays(n, curve, ray, work, place):  # type: ignore[no-untyped-def]
-    """Bring the curves of the pixels of a tile and their rays into the scratch."""
-    for k in range(_curves.N_CURVE):
-        for i in range(n):
-            work[CURVE + k * PART + i] = curve[k, i]
-    for i in range(n):
-        place[RAY_X + i], place[RAY_Y + i], place[RAY_Z + i] = ray[i, 0], ray[i, 1], ray[i, 2]
 
 
 @njit(**COMPILED)
@@ -123,92 +129,6 @@ def begin(n, period, guard, judges, work):  # type: ignore[no-untyped-def]
         work[REASON + i] = OUTSIDE_VOLUME if misses else ZERO if on_ray else NO_MATCH
 
 
-@njit(**COMPILED)
-def follow_curves(n, work):  # type: ignore[no-untyped-def]
-    """Write depth and pixel of C2 of the points with these w, and their slopes over w."""
-    for i in range(n):
-        per_w = work[_curves.PER_W * PART + i]
-        s = (work[W + i] - work[_curves.START * PART + i]) * per_w
-        bend = work[_curves.DEPTH_BEND * PART + i]
-        part = ONE / (ONE - s + bend * s)
-        u, du = bend * s * part, bend * part * part * per_w
-        rise, a = work[_curves.DEPTH_RISE * PART + i], work[_curves.DEPTH_A * PART + i]
-        b = work[_curves.DEPTH_B * PART + i]
-        work[T + i] = work[_curves.DEPTH_0 * PART + i] + u * (rise + (ONE - u) * (a + b * u))
-        work[DT + i] = du * (rise + a * (ONE - u - u) + b * u * (ONE + ONE - u - u - u))
-        bend = work[_curves.BEND * PART + i]
-        part = ONE / (ONE - s + bend * s)
-        u, du = bend * s * part, bend * part * part * per_w
-        one, two = ONE - u - u, u * (ONE + ONE - u - u - u)
-        rise, a = work[_curves.X_RISE * PART + i], work[_curves.X_A * PART + i]
-        b = work[_curves.X_B * PART + i]
-        work[X + i] = work[_curves.X_0 * PART + i] + u * (rise + (ONE - u) * (a + b * u))
-        work[DX + i] = du * (rise + a * one + b * two)
-        rise, a = work[_curves.Y_RISE * PART + i], work[_curves.Y_A * PART + i]
-        b = work[_curves.Y_B * PART + i]
-        work[Y + i] = work[_curves.Y_0 * PART + i] + u * (rise + (ONE - u) * (a + b * u))
-        work[DY + i] = du * (rise + a * one + b * two)
-
-
-@njit(**COMPILED)
-def find_cells(n, numbers, at_x, at_y, shape, cell, work):  # type: ignore[no-untyped-def]
-    """Write the number of the pixel of C2 left above each place, and the parts of a pixel beyond
-    it; NaN outside. numbers[at_x:], numbers[at_y:]: the places."""
-    right, bottom = numbers.dtype.type(shape[1] - 1), numbers.dtype.type(shape[0] - 1)
-    zero, n_cols = numbers.dtype.type(0), i4(shape[1])
-    for i in range(n):
-        x, y = numbers[at_x + i], numbers[at_y + i]
-        inside = (x >= zero) & (x < right) & (y >= zero) & (y < bottom)
-        x, y = x if inside else zero, y if inside else zero
-        col, row = np.floor(x), np.floor(y)
-        cell[i] = i4(row) * n_cols + i4(col)
-        work[FX + i] = f4(x - col) if inside else NAN
-        work[FY + i] = f4(y - row)
-
-
-@njit(**COMPILED)
-def fetch(n, image, cell, n_cols, work):  # type: ignore[no-untyped-def]
-    """Fetch the four neighbours of each place."""
-    for i in range(n):
-        k = np.int64(cell[i])
-        work[A + i], work[B + i] = image[k], image[k + 1]
-        work[C + i], work[D + i] = image[k + n_cols], image[k + n_cols + 1]
-
-
-@njit(**COMPILED)
-def compare(n, work):  # type: ignore[no-untyped-def]
-    """Write the phase of C2 less that of C1, rad, and its gradient, from what is fetched; NaN where
-    one of the four neighbours is missing, or next to a jump. See `_phase.phase_difference`."""
-    most = f4(MAX_JUMP)
-    for i in range(n):
-        a = work[A + i]
-        b, c, d = _wrap(work[B + i] - a), _wrap(work[C + i] - a), _wrap(work[D + i] - a)
-        both = d - b - c
-        fx, fy = work[FX + i], work[FY + i]
-        value = b * fx + (c + both * fx) * fy
-        spread = max(max(ZERO, b), max(c, d)) - min(min(ZERO, b), min(c, d))
-        value += ZERO if spread <= most else NAN
-        work[R + i] = _wrap(a + value - work[PHI + i])
-        work[GX + i], work[GY + i] = b + both * fy, c + both * fx
-
-
-@njit(**COMPILED)
-def find_noise(n, work):  # type: ignore[no-untyped-def]
-    """Write the largest standard deviation of the four neighbours that are fetched."""
-    for i in range(n):
-        most = max(max(work[A + i], work[B + i]), max(work[C + i], work[D + i]))
-        work[NOISE_2 + i] = most
-
-
-@njit(**COMPILED)
-def fetch_orders(n, order2, cell, n_cols, work):  # type: ignore[no-untyped-def]
-    """Fetch the orders of the four neighbours of each place."""
-    for i in range(n):
-        k = np.int64(cell[i])
-        work[ORDER_A + i], work[ORDER_B + i] = order2[k], order2[k + 1]
-        work[ORDER_C + i], work[ORDER_D + i] = order2[k + n_cols], order2[k + n_cols + 1]
-
-
 @njit(**COMPILED, inline="always")
 def _has_order(i, phase, order, work):  # type: ignore[no-untyped-def]
     """Tell whether a neighbour has the order that the phase at the place demands of it."""
@@ -220,45 +140,23 @@ def _has_order(i, phase, order, work):  # type: ignore[no-untyped-def]
 def judge(n, row, left, period, field, limits, work):  # type: ignore[no-untyped-def]
     """Write how far around its sheet C2 sees a point, and reasons of those that it refutes.
 
-    What `_single.confirm` does, but for places with a hole beside them. field (24,) = middle,
-    1 / scale and coefficients of the bias; limits (6,) = its scatter, px, largest squared deviation
-    and variance that judges, search in C2, turns, least and most, least ratio.
+    What `_single.confirm` does, but for places with a hole beside them. field: see
+    `_tile.along_row`; limits (6,) = scatter of the bias, px, largest squared deviation and variance
+    that judges, search in C2, turns, least and most, least ratio.
     """
-    x0, y0, t0, xx, yx, tx = field[0], field[1], field[2], field[3], field[4], field[5]
-    c0, c1, c2, c3, c4, c5 = field[6], field[7], field[8], field[9], field[10], field[11]
-    c6, c7, c8, d0, d1, d2 = field[12], field[13], field[14], field[15], field[16], field[17]
-    d3, d4, d5, d6, d7, d8 = field[18], field[19], field[20], field[21], field[22], field[23]
     scatter, most_cost, most_variance = limits[0], limits[1], limits[2]
-    least_search, most_search, least_ratio = limits[3], limits[4], limits[5]
-    v = (f4(row) - y0) * yx
-    x_0, x_1, y_0, y_1 = c0 + v * (c2 + c5 * v), c1 + c4 * v, d0 + v * (d2 + d5 * v), d1 + d4 * v
-    rise_x, rise_y = c6 + c8 * v, d6 + d8 * v
+    search, terms = (limits[3], limits[4], limits[5]), along_row(row, field)
     for i in range(n):
         same = _has_order(i, A, ORDER_A, work) | _has_order(i, B, ORDER_B, work)
         same |= _has_order(i, C, ORDER_C, work) | _has_order(i, D, ORDER_D, work)
-        u = (f4(left + i) - x0) * xx
-        s = (work[T + i] - t0) * tx
-        moved_x = x_0 + u * (x_1 + c3 * u) + (rise_x + c7 * u) * s
-        moved_y = y_0 + u * (y_1 + d3 * u) + (rise_y + d7 * u) * s
-        gx, gy = work[GX + i] * PER_TURN, work[GY + i] * PER_TURN
-        difference = work[R + i] * PER_TURN
-        residual = difference - (gx * moved_x + gy * moved_y)
-        residual -= np.rint(residual)
-        ratio = (gx * work[DX + i] + gy * work[DY + i]) * period
-        own = (ratio - ONE) * work[NOISE + i]
-        variance = (work[NOISE_2 + i] * work[NOISE_2 + i] + own * own) * (PER_TURN * PER_TURN)
-        variance += MODEL_VARIANCE + (gx * gx + gy * gy) * (scatter * scatter)
+        residual, _, variance, _, ratio = expect(i, left, period, terms, scatter, work)
         refuted = (variance < most_variance) & (residual * residual > most_cost * variance)
         hard = not (variance + abs(residual) < f4(1e9))  # what is not a number has a hole beside it
         beyond = (work[X + i] == work[X + i]) & (not work[FX + i] >= ZERO)
         refuted = beyond | ((not hard) & (refuted | (not same)))
         hard &= not beyond
-        reach = abs(difference) + f4(4) * np.sqrt(variance)
-        reach = min(max(reach, least_search), most_search) / max(abs(ratio), least_ratio)
-        work[HALF + i] = min(reach, HALF_PX) * period
-        low, high = work[INNER_LOW + i] - work[GUARD + i], work[INNER_HIGH + i] + work[GUARD + i]
-        is_inside = (work[W + i] >= low) & (work[W + i] <= high)
-        reason = NO_MATCH if refuted else ZERO if is_inside else OUTSIDE_VOLUME
+        work[HALF + i] = reach_of(i, variance, ratio, search, period, work)
+        reason = NO_MATCH if refuted else ZERO if is_in_volume(i, work) else OUTSIDE_VOLUME
         reason = ZERO if hard else reason
         work[HARD + i] = ONE if hard else ZERO
         work[REASON + i] = work[REASON + i] if work[REASON + i] != ZERO else reason
@@ -337,7 +235,7 @@ def look_beside(n, away, phase2, shape, cell, work, place):  # type: ignore[no-u
     for i in range(n):
         work[A + i] = phase2[cell[i]]
     for i in range(n):
-        rise = _wrap(work[A + i] - work[PHI + i]) * (work[SLOPE + i] * step) + work[B + i]
+        rise = wrap(work[A + i] - work[PHI + i]) * (work[SLOPE + i] * step) + work[B + i]
         fine = (rise > ZERO) | (work[asked + i] < abs(step))
         work[HARD + i] += ZERO if fine else ONE
 

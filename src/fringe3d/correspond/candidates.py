@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fringe3d.correspond._clear import DECIDED, NOTHING, OPEN, OUTSIDE
+from fringe3d.correspond._clear import DECIDED, LEAST_PLACING_RATIO, NOTHING, OPEN, OUTSIDE
 from fringe3d.correspond._orders import DIFFERENCE, RATIO
 from fringe3d.correspond.both_ways import agrees_with_c2, asked_of_c2, swapped, swapped_bias
 from fringe3d.correspond.choice import Choice
@@ -52,9 +52,6 @@ LEAST_RATIO = 0.5
 
 ABSOLUTE_STRIDE = (4, 4)
 """Steps of the pixels from which the bias is learnt where the code leaves nothing to choose."""
-
-LEAST_PLACING_RATIO = 0.1
-"""Of the phases that C2 and the projector see along a ray; with less C2 tells no place on it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
