@@ -180,8 +180,6 @@ def measure(
         findings += _check_orders(matched, main, scan.rig, volume, choice.method)
         if previous_mm is not None and projector is not None:
             findings += check_previous(matches, main, projector, previous_mm)
-        if other.role == "projector" and not main.is_absolute and volume is not None:
-            findings += check_twins(twin_share(main, camera, other, volume))
     with clock("triangulating"):
         points = triangulate(
             matches, camera, other, volume=volume, max_epipolar_px=_epipolar_limit(matches),
@@ -190,13 +188,7 @@ def measure(
     with clock("checking"):
         findings += check_epipolar(matches) + check_yield(points)
         if other.role == "camera":
-            main2 = phases[1].directions[0].like(main)
-            findings += check_texture(matches, main, main2, camera, other)
-            if projector is not None:
-                findings += check_trinocular(points, main, projector)
-                findings += check_moved(
-                    findings, phases, matches, (camera, other, projector), scan.rig.covariance
-                )
+            findings += _check_cameras(findings, phases, matches, points, (camera, other), scan.rig)
         points = _clean(points, options, main)
         if main.is_quantised:
             points = remove_repeated(points, matches)
@@ -204,6 +196,25 @@ def measure(
         result, matches=matches, points=points, bias=matched.bias, findings=tuple(findings)
     )
     return _finish(result, clock)
+
+
+def _check_cameras(
+    before: Sequence[Finding],
+    phases: Sequence[CameraPhases],
+    matches: Correspondences,
+    points: PointMap,
+    cameras: tuple[Device, Device],
+    rig: Rig,
+) -> list[Finding]:
+    """Check what two cameras, and the projector, say of each other; `before`: findings so far."""
+    main = phases[0].directions[0].main
+    main2 = phases[1].directions[0].like(main)
+    found = check_texture(matches, main, main2, *cameras)
+    if rig.projector is not None:
+        found += check_trinocular(points, main, rig.projector)
+        devices = (*cameras, rig.projector)
+        found += check_moved([*before, *found], phases, matches, devices, rig.covariance)
+    return found
 
 
 def _check_orders(
@@ -219,8 +230,13 @@ def _check_orders(
         )  # fmt: skip
     else:
         ambiguity = _refuse(check_ambiguity(matched.matches, main), MethodError)
+    twins: Sequence[Finding] = ()
+    if method == "projector" and not main.is_absolute and volume is not None:
+        assert rig.projector is not None
+        camera = next(c for c in rig.cameras if c.name == main.device_name)
+        twins = check_twins(twin_share(main, camera, rig.projector, volume))
     bias = check_bias(matched.bias, rig.bias)
-    return [*matched.findings, *ambiguity, *bias, *check_probability(matched.matches)]
+    return [*matched.findings, *ambiguity, *bias, *check_probability(matched.matches), *twins]
 
 
 def _devices(rig: Rig, stacks: Sequence[ImageStack], method: str) -> tuple[Device, Device]:

@@ -19,7 +19,7 @@ from fringe3d.correspond.choice import Choice
 from fringe3d.correspond.clear import choose_clearly, is_regular
 from fringe3d.correspond.direct import Judging
 from fringe3d.correspond.smoothing import quiet
-from fringe3d.correspond.solutions import DOUBT, rivals, rivals_around
+from fringe3d.correspond.solutions import DOUBT, Rivals, rivals, rivals_around
 from fringe3d.correspond.solving import (
     coarse_stride,
     learnt_from,
@@ -114,8 +114,8 @@ def choose_orders(
     bias : CalibrationBias or None; of the rig; None learns it from the images
     search : bool; no code confirms the orders: where the bias is not known, look for all that go
         with the images (where they come with different orders, these are less probable), and reject
-        points that the surface itself hides from C2 or the light, and fragments of surfaces. A
-        known bias is refined
+        points that the surface itself hides from C2 or the light, fragments of surfaces, and what
+        `fringe3d.correspond.strictness.doubtful` tells. A known bias is refined
     witnesses : Witnesses or None; further cameras, and the frame before
     min_probability : float; less probable orders are AMBIGUOUS; 0 takes the best that fits
     fit_sigma : float; residuals beyond are no fit
@@ -159,14 +159,7 @@ def choose_orders(
     chosen, bias = solve(task, bias)
     chosen, bias = panel.asked_again(chosen, bias, is_known=is_known or rival is not None)
     if rival is not None:
-        shape = views.phases1.phase.shape
-        agreement = rival.agreement(shape, doubt=DOUBT)[task.valid]
-        if witnesses.previous_turns is not None:  # where it has a point it has decided
-            decided = np.isfinite(task.before)
-            agreement[decided] = rival.agreement(shape)[task.valid][decided]
-        agreement = no_surer_than_most(task, chosen, agreement)
-        chosen = replace(chosen, probability=chosen.probability * agreement,
-                         outside=chosen.outside * agreement)  # fmt: skip
+        chosen = _no_surer_than_rivals(task, chosen, rival)
     if not search:  # a code leaves so few orders that what fits outside is outside
         chosen = replace(chosen, outside=np.ones(len(task.pixels)))
     agrees, surface = np.ones(len(task.pixels), bool), np.zeros(len(task.pixels), bool)
@@ -184,6 +177,19 @@ def choose_orders(
             reject(rejection, where, reason)
     found = _chosen(task, chosen, bias, measured.phases1, rejection)
     return replace(found, rival_shift=rival.shift() if rival is not None else 0)
+
+
+def _no_surer_than_rivals(task: Task, chosen: Choice, found: Rivals) -> Choice:
+    """Lower the probability of orders that solutions do not share."""
+    shape = task.views.phases1.phase.shape
+    agreement = found.agreement(shape, doubt=DOUBT)[task.valid]
+    decided = np.isfinite(task.before)  # where the frame before has a point it has decided
+    if decided.any():
+        agreement[decided] = found.agreement(shape)[task.valid][decided]
+    agreement = no_surer_than_most(task, chosen, agreement)
+    return replace(
+        chosen, probability=chosen.probability * agreement, outside=chosen.outside * agreement
+    )
 
 
 def _clearly(
