@@ -33,7 +33,7 @@ def main(arguments: list[str]) -> int:
                 ("-m", "ruff", "check", "."),
                 ("-m", "ruff", "format", "--check", "."),
                 ("-m", "mypy"),
-                ("-m", "pytest", *options),
+                ("-m", "pytest", "--numprocesses=auto", "--dist=loadfile", *options),
             )
             # The last one closes the output; the others stop it early.
             return next((code for job in jobs if (code := call(*job))), 0)
