@@ -25,15 +25,17 @@ from fringe3d.calibrate import (
     BoardCalibration,
     BoardOptions,
     BoardView,
+    bad_poses,
     calibrate_board,
     check_board,
+    compare_rigs,
     focal_sigma_by_poses,
     leave_poses_out,
     point_covariance,
     typical_rms_px,
 )
 from fringe3d.errors import CalibrationError
-from fringe3d.model import Board, Device, RigCovariance, RigidTransform
+from fringe3d.model import Board, Device, Rig, RigCovariance, RigidTransform
 
 Floats = NDArray[np.float64]
 
@@ -115,6 +117,27 @@ def test_the_sigma_of_points_is_that_of_sampled_calibrations(calibrated: BoardCa
     np.testing.assert_allclose(
         np.sqrt(np.diagonal(np.cov(np.array(moved).T))), np.sqrt(np.diagonal(expected)), rtol=0.15
     )  # 300 samples: 4 %
+
+
+def test_the_sigma_of_the_form_is_that_of_sampled_calibrations(
+    calibrated: BoardCalibration,
+) -> None:
+    """Sampled rigs against the calibrated one, by rays that meet and a fitted similarity."""
+    rng = np.random.default_rng(5)
+    own = calibrated.covariance
+    samples = rng.multivariate_normal(np.zeros(len(own.names)), own.matrix, 300)
+    grid = np.stack(np.meshgrid([-60, 0, 60], [-50, 0, 50], [520, 570, 620]), -1).reshape(-1, 3)
+    now = Rig(cameras=calibrated.devices[:2], projector=calibrated.devices[2], covariance=own)
+    found = [
+        compare_rigs(Rig(cameras=tuple(changed(d, own, s) for d in now.cameras)), now, grid)
+        for s in samples
+    ]
+    moved = np.sqrt(np.mean([(f.moved_mm**2).sum(axis=1) for f in found], axis=0))
+    form = np.sqrt(np.mean([(f.form_mm**2).sum(axis=1) for f in found], axis=0))
+    assert found[0].counted == ("new",)
+    np.testing.assert_allclose(found[0].moved_sigma_mm, moved, rtol=0.15)  # 300 samples: 4 %
+    np.testing.assert_allclose(found[0].form_sigma_mm, form, rtol=0.15)
+    assert np.median(form) < np.median(moved) / 5
 
 
 def changed(own: Device, covariance: RigCovariance, sample: Floats) -> Device:
@@ -244,6 +267,21 @@ def test_rows_and_columns_exchanged_are_named(name: str, message: str) -> None:
         calibrate_board(BOARD, views, sizes(), FLAT)
 
 
+def test_rows_and_columns_exchanged_in_one_pose_are_named_once_and_left_out() -> None:
+    """What is left of the pose, the cameras' views, is used: the rig comes out as it is."""
+    views = [swapped(v) if (v.pose, v.device) == ("pose-4", "projector") else v
+             for v in board_views()]  # fmt: skip
+    found = calibrate_board(BOARD, views, sizes(), FLAT)
+    bad = [f.text for f in check_board(found, ()) if f.name in ("bad_pose_rms_px", "mirrored_view")]
+    assert len(bad) == 1
+    assert "pose pose-4: 'projector' sees the board mirrored, c1 not: in this recording" in bad[0]
+    assert "rows and columns of the patterns are exchanged" in bad[0]
+    assert {v.device for v in found.views if v.pose == "pose-4"} == {"c1", "c2"}
+    assert max(found.rms_px(d.name) for d in RIG) < 0.1
+    off = errors(found.devices)
+    assert abs(off["projector.shift_x"]) < 4.5 * found.covariance.sigma("projector.shift_x")
+
+
 def test_too_few_corners_are_named() -> None:
     views = [v.take(np.arange(len(v)) < 7) if v.device == "c2" else v for v in board_views()]
     with pytest.raises(CalibrationError, match=r"camera 'c2': expected the board in at least 3 .* "
@@ -317,9 +355,17 @@ def test_a_board_that_moved_is_told_from_blurred_corners() -> None:
     moved = [replace(v, pixels=v.pixels + np.array([0.8, -0.4]))
              if (v.pose, v.device) == ("pose-2", "c2") else v for v in views]  # fmt: skip
     found = calibrate_board(BOARD, moved, sizes(), FLAT)
-    text = " ".join(f.text for f in check_board(found, ()) if f.level == "warning")
+    (text,) = (f.text for f in check_board(found, ()) if f.level == "warning" and "pose" in f.name)
     assert "pose pose-2" in text
     assert "it moved during the recording" in text
+    # 0.9 px at 1765 px and about 0.6 m; the camera alone tells sideways shifts best.
+    shift = float(text.partition("all devices together (")[2].split()[0])
+    assert 0.1 < shift < 1.0
+    (bad,) = bad_poses(found)
+    assert bad.worst == "c2"
+    without = found.rms_px("c2", without={"pose-2"})
+    assert without < 0.08  # 0.05 px in x and y
+    assert found.rms_px("c2") > 1.5 * without
     blurred = [replace(v, pixels=v.pixels + rng.normal(0, 0.8, v.pixels.shape))
                if (v.pose, v.device) == ("pose-2", "c2") else v for v in views]  # fmt: skip
     found = calibrate_board(BOARD, blurred, sizes(), FLAT)

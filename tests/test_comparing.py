@@ -12,7 +12,7 @@ from changed_rigs import moved_rig
 from cv_lens import cv_project, cv_rays
 from fringe3d.calibrate import compare_rigs
 from fringe3d.errors import CalibrationError
-from fringe3d.model import MeasuringVolume, Rig, RigidTransform
+from fringe3d.model import Device, MeasuringVolume, Rig, RigidTransform
 
 VOLUME = MeasuringVolume.box([-50, -50, 520], [50, 50, 620])
 RIG = Rig(cameras=(C1, C2), projector=PROJECTOR, volume=VOLUME)
@@ -58,7 +58,12 @@ def test_points_not_seen_and_other_rigs() -> None:
     found = compare_rigs(RIG, RIG, points)
     assert np.isnan(found.moved_mm[0]).all()
     assert np.isfinite(found.moved_mm[1:]).all()
-    with pytest.raises(CalibrationError, match="two devices of the same names"):
+    with pytest.raises(CalibrationError, match="another device of the same names"):
         compare_rigs(Rig(cameras=(replace(C1, name="left"),)), RIG, POINTS)
+    small = Device(
+        name="c1", role="camera", n_rows=480, n_cols=640, focal_px=[800, 800], center_px=[320, 240]
+    )
+    with pytest.raises(CalibrationError, match="'c1' has 1280 x 1024 pixels, formerly 640 x 480"):
+        compare_rigs(Rig(cameras=(small, C2)), RIG, POINTS)
     with pytest.raises(CalibrationError, match="expected points that both devices see"):
         compare_rigs(RIG, RIG, np.full((3, 3), np.nan))

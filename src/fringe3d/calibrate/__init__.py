@@ -4,6 +4,7 @@ from fringe3d.calibrate._board_lens import BOARD_LENSES, BoardLens, BoardLensTri
 from fringe3d.calibrate._board_shape import SHAPES, BoardShape, ShapeTrial
 from fringe3d.calibrate._lens import LENSES, Lens, LensTrial
 from fringe3d.calibrate._parameters import Parameter
+from fringe3d.calibrate.bad_poses import BadPose, bad_poses
 from fringe3d.calibrate.ball import ball_center
 from fringe3d.calibrate.board import BoardCalibration, BoardOptions, DeviceSize, calibrate_board
 from fringe3d.calibrate.board_judging import (
@@ -22,7 +23,7 @@ from fringe3d.calibrate.homologous import Homologous, Sight, homologous_points
 from fringe3d.calibrate.judging import Rest, check_fit, region_points, rests
 from fringe3d.calibrate.lit_points import LitPoints, lit_points
 from fringe3d.calibrate.moved import Moved, Mover, contradiction, moved_text, which_moved
-from fringe3d.calibrate.point_error import point_covariance
+from fringe3d.calibrate.point_error import form_covariance, point_covariance
 from fringe3d.calibrate.poses import FittedPoses, PoseChange, fit_poses, located
 from fringe3d.calibrate.poses_judging import check_poses
 from fringe3d.calibrate.projector import FittedProjector, fit_projector, residual_px
@@ -31,6 +32,7 @@ __all__ = [
     "BOARD_LENSES",
     "LENSES",
     "SHAPES",
+    "BadPose",
     "BoardCalibration",
     "BoardLens",
     "BoardLensTrial",
@@ -53,6 +55,7 @@ __all__ = [
     "RigComparison",
     "ShapeTrial",
     "Sight",
+    "bad_poses",
     "ball_center",
     "calibrate_board",
     "check_board",
@@ -65,6 +68,7 @@ __all__ = [
     "fit_poses",
     "fit_projector",
     "focal_sigma_by_poses",
+    "form_covariance",
     "homologous_points",
     "leave_poses_out",
     "light_on_corners",

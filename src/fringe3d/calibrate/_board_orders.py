@@ -36,8 +36,12 @@ def _signs(board: Board, views: Views) -> list[float]:
     ]
 
 
-def unmirrored(board: Board, views: Views, roles: dict[str, str], /) -> Views:
-    """Return the views with mirrored orders of corners put right.
+def unmirrored(
+    board: Board, views: Views, roles: dict[str, str], /
+) -> tuple[Views, tuple[str, ...]]:
+    """Return the views with mirrored orders of corners put right; and what was left out, and why.
+
+    A projector that sees the board mirrored where its camera does not is left out there.
 
     Raises
     ------
@@ -52,9 +56,25 @@ def unmirrored(board: Board, views: Views, roles: dict[str, str], /) -> Views:
         n_mirrored = int((np.array(found) < 0).sum())
         if 2 * n_mirrored > len(found):
             raise CalibrationError(_why_mirrored(device, roles[device], n_mirrored, len(found)))
-    wrong = {(v.pose, v.via or v.device) for v, sign in zip(views, signs, strict=True) if sign < 0}
+    wrong = {(v.pose, v.device) for v, g in zip(views, signs, strict=True) if g < 0 and not v.via}
     order = _mirrored(board)
-    return tuple(v.renumbered(order) if (v.pose, v.via or v.device) in wrong else v for v in views)
+    kept: list[BoardView] = []
+    refused: dict[tuple[str, str], list[str]] = defaultdict(list)
+    for view, sign in zip(views, signs, strict=True):
+        is_turned = (view.pose, view.via or view.device) in wrong
+        if view.via and (sign < 0) != is_turned:
+            refused[view.pose, view.device].append(view.via)
+        else:
+            kept.append(view.renumbered(order) if is_turned else view)
+    return tuple(kept), tuple(_why_refused(*where, via) for where, via in refused.items())
+
+
+def _why_refused(pose: str, device: str, cameras: list[str]) -> str:
+    return (
+        f"{pose}: '{device}' sees the board mirrored, {' and '.join(cameras)} not: in this "
+        "recording rows and columns of the patterns are exchanged, one direction counts from the "
+        "other side, or the cameras' images are mirrored"
+    )
 
 
 def _why_mirrored(device: str, role: str, n_mirrored: int, n_views: int) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -97,6 +97,7 @@ class BoardCalibration:
         standard deviation
     views : tuple of BoardView; as used, corners in matching order
     left_out : tuple of str; views that tell nothing, and why
+    mirrored : tuple of str; views of the projector that are mirrored and so left out, and why
     residual_px : tuple of (n, 2) float, px; of each view, model minus measurement
     noise_px : dict of str to float, px; standard deviation of a coordinate of a corner
     condition, weakest, is_open
@@ -115,6 +116,7 @@ class BoardCalibration:
     shape_sigma_mm: Floats
     views: tuple[BoardView, ...]
     left_out: tuple[str, ...]
+    mirrored: tuple[str, ...]
     residual_px: tuple[Floats, ...]
     noise_px: dict[str, float]
     condition: float
@@ -139,12 +141,17 @@ class BoardCalibration:
             },
         )
 
-    def rms_px(self, device: str, /, *, pose: str | None = None) -> float:
-        """Return the root mean square distance of corners, px; NaN where there is none."""
+    def rms_px(
+        self, device: str, /, *, pose: str | None = None, without: Collection[str] = ()
+    ) -> float:
+        """Return the root mean square distance of corners, px; NaN where there is none.
+
+        Of one pose, or of all but those to do without.
+        """
         own = [
             r
             for r, v in zip(self.residual_px, self.views, strict=True)
-            if v.device == device and pose in (None, v.pose)
+            if v.device == device and pose in (None, v.pose) and v.pose not in without
         ]
         if not own:
             return float("nan")
@@ -187,7 +194,8 @@ def calibrate_board(
     roles: dict[str, str] = {device.name: device.role for device in devices}
     names = tuple(roles)
     kept, left_out = checked(board, views, devices)
-    kept = upright(board, unmirrored(board, kept, roles))
+    kept, mirrored = unmirrored(board, kept, roles)
+    kept = upright(board, kept)
     alone = {device.name: _alone(board, kept, device, options) for device in devices}
     kept, placed, poses = together(board, kept, alone, roles)
     lenses = {d.name: "known" if d.known else options.lens or LADDER[-1] for d in devices}
@@ -213,6 +221,7 @@ def calibrate_board(
         shape=shape,
         shape_trials=shape_trials,
         left_out=left_out,
+        mirrored=mirrored,
     )
 
 
@@ -324,6 +333,7 @@ def _result(
         shape_sigma_mm=info.shape_sigma,
         views=views,
         left_out=(),
+        mirrored=(),
         residual_px=tuple(found),
         noise_px=noise,
         condition=info.condition,

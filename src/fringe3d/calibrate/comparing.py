@@ -7,9 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from fringe3d.calibrate.point_error import form_covariance, point_covariance
 from fringe3d.errors import CalibrationError
 from fringe3d.geometry import closest_depths, project, rays
-from fringe3d.model import Device, Rig
+from fringe3d.model import Device, Rig, RigCovariance
 
 Floats = NDArray[np.float64]
 
@@ -28,13 +29,20 @@ class RigComparison:
         Where the former calibration puts what lies at the points, minus the points; NaN where a
         device does not see them.
     form_mm : (..., 3) float, mm; the same without what a motion and a scale undo
+    moved_sigma_mm, form_sigma_mm : (...) float, mm
+        Standard deviations of the lengths of both that the covariances of the rigs let expect;
+        NaN where no rig has one.
     scale : float; lengths by the former calibration over those by the new one
+    counted : tuple of str; of "former" and "new", the rigs that have a covariance
     """
 
     devices: tuple[str, str]
     moved_mm: Floats
     form_mm: Floats
+    moved_sigma_mm: Floats
+    form_sigma_mm: Floats
     scale: float
+    counted: tuple[str, ...]
 
     @property
     def moved_rms_mm(self) -> float:
@@ -87,24 +95,51 @@ def compare_rigs(former: Rig, now: Rig, points_mm: ArrayLike, /) -> RigCompariso
     scale, fitted = _similar(here[seen], there[seen])
     form = np.full(points.shape, np.nan)
     form[seen] = there[seen] - fitted
+    sides = {
+        "former": ((first_then, second_then), former.covariance, then[seen]),
+        "new": ((first, second), now.covariance, points[seen]),
+    }
+    known = {name: side for name, side in sides.items() if side[1] is not None}
+    sigmas = np.full((2, *seen.shape), np.nan)
+    if known:
+        both = [_variances(devices, own, places) for devices, own, places in known.values()]
+        sigmas[:, seen] = np.sqrt(np.sum(both, axis=0))
     return RigComparison(
         devices=(first.name, second.name),
         moved_mm=np.where(seen[..., None], there - here, np.nan),
         form_mm=form,
+        moved_sigma_mm=sigmas[0],
+        form_sigma_mm=sigmas[1],
         scale=scale,
+        counted=tuple(known),
     )
+
+
+def _variances(
+    devices: tuple[Device, Device], covariance: RigCovariance | None, points: Floats
+) -> tuple[Floats, Floats]:
+    """Return the variances of the distances, and of the form, of points (n, 3), each (n,)."""
+    assert covariance is not None
+    moved, form = (of(devices, covariance, points) for of in (point_covariance, form_covariance))
+    return np.trace(moved, axis1=1, axis2=2), np.trace(form, axis1=1, axis2=2)
 
 
 def _same_devices(former: Rig, now: Rig) -> list[tuple[Device, Device]]:
     before = {device.name: device for device in former.devices}
     pairs = [(before[d.name], d) for d in now.devices if d.name in before]
-    pairs = [(then, d) for then, d in pairs if then.shape == d.shape]
-    if len(pairs) < 2 or pairs[0][1].name != now.cameras[0].name:
+    alike = [(then, d) for then, d in pairs if then.shape == d.shape]
+    if len(alike) < 2 or alike[0][1].name != now.cameras[0].name:
+        others = [
+            f"{d.role} '{d.name}' has {d.n_cols} x {d.n_rows} pixels, formerly {then.n_cols} x "
+            f"{then.n_rows}"
+            for then, d in pairs
+            if then.shape != d.shape
+        ] or [f"{', '.join(before)} formerly, {', '.join(d.name for d in now.devices)} now"]
         raise CalibrationError(
-            "compare: expected two devices of the same names and sizes in both calibrations, found "
-            f"{', '.join(before)} and {', '.join(d.name for d in now.devices)}"
+            "compare: expected the first camera and another device of the same names and sizes in "
+            f"both calibrations, found {'; '.join(others)}"
         )
-    return pairs[:2]
+    return alike[:2]
 
 
 def _similar(points: Floats, targets: Floats) -> tuple[float, Floats]:

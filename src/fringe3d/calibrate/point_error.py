@@ -42,6 +42,48 @@ def point_covariance(
     A point X is where ``sum |project_d(X) - pixel_d|^2 / noise_d^2`` is least; so its change is
     ``-(sum A^T A)^-1 sum A^T J`` times that of the devices' numbers. OpenCV's distortion up to k6.
     """
+    moved = _moved_by(devices, covariance, points_mm, noise_px)
+    return np.asarray(moved @ covariance.matrix @ np.swapaxes(moved, 1, 2))
+
+
+def form_covariance(
+    devices: Sequence[Device],
+    covariance: RigCovariance,
+    points_mm: ArrayLike,
+    /,
+    *,
+    noise_px: Mapping[str, float] | None = None,
+) -> Floats:
+    """Return the covariance of points without what a motion and a scale of all of them undo.
+
+    Parameters
+    ----------
+    devices, covariance, points_mm, noise_px
+        As of `point_covariance`; four points at least.
+
+    Returns
+    -------
+    (n, 3, 3) float64, mm^2, axes of the world
+        By how much the form of the points together is wrong, whatever their place and size.
+    """
+    points = np.asarray(points_mm, np.float64).reshape(-1, 3)
+    moved = _moved_by(devices, covariance, points, noise_px).reshape(3 * len(points), -1)
+    centred = points - points.mean(axis=0)
+    alike = np.concatenate(
+        [np.tile(np.eye(3), (len(points), 1, 1)), skew(centred), centred[..., None]], axis=2
+    ).reshape(-1, 7)
+    axes = np.linalg.qr(alike)[0]
+    form = (moved - axes @ (axes.T @ moved)).reshape(len(points), 3, -1)
+    return np.asarray(form @ covariance.matrix @ np.swapaxes(form, 1, 2))
+
+
+def _moved_by(
+    devices: Sequence[Device],
+    covariance: RigCovariance,
+    points_mm: ArrayLike,
+    noise_px: Mapping[str, float] | None,
+) -> Floats:
+    """Return by how much points move with each number of the devices, (n, 3, numbers)."""
     points = np.asarray(points_mm, np.float64).reshape(-1, 3)
     normal = np.zeros((len(points), 3, 3))
     answer = np.zeros((len(points), 3, len(covariance.names)))
@@ -59,5 +101,4 @@ def point_covariance(
             if name in covariance.names:
                 slope = by_number[:, :, number, None] * weight
                 answer[:, :, covariance.names.index(name)] -= (across @ slope)[..., 0]
-    moved = np.linalg.solve(normal, answer)
-    return np.asarray(moved @ covariance.matrix @ np.swapaxes(moved, 1, 2))
+    return np.asarray(np.linalg.solve(normal, answer))

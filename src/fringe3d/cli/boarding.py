@@ -20,6 +20,7 @@ from fringe3d.model import MeasuringVolume, Rig, RigidTransform
 
 if TYPE_CHECKING:
     from fringe3d.calibrate import BoardCalibration, RigComparison
+    from fringe3d.health import Finding
 
 Floats = NDArray[np.float64]
 
@@ -66,16 +67,19 @@ def calibrate_series(
         BOARD_LENSES,
         SHAPES,
         BoardOptions,
+        RigComparison,
         calibrate_board,
         check_board,
         leave_poses_out,
     )
+    from fringe3d.health import Finding
     from fringe3d.io.atomic import require_writable, write_text
     from fringe3d.io.boardfile import read_board
     from fringe3d.io.rigfile import read_rig, rig_text
     from fringe3d.report.board import board_markdown, board_record, board_text, volume_grid
-    from fringe3d.report.board_pictures import board_targets, draw_board, draw_volume
-    from fringe3d.report.comparison import comparison_record, draw_comparison
+    from fringe3d.report.board_pictures import board_targets, draw_board
+    from fringe3d.report.comparison import comparison_record
+    from fringe3d.report.volume_pictures import draw_comparison, draw_volume
 
     former = read_rig(options.rig) if options.rig else None
     targets = board_targets(options.out, is_compared=former is not None)
@@ -97,10 +101,13 @@ def calibrate_series(
     found = found.in_world(_first_from_world(options, former, found))
     depth_mm = options.depth_mm or _depth_range(found)
     calibrated = _rig(folder, options, former, found, depth_mm)
+    points, depths = volume_grid(calibrated)
+    compared = _compared(options, former, calibrated, points) if former is not None else None
+    if isinstance(compared, Finding):
+        findings.append(compared)
     record = board_record(found, left_out, findings, calibrated, depth_mm)
-    points, depths = volume_grid(calibrated, depth_mm)
     pictures = list(targets[:2])
-    if former is not None and (compared := _compared(former, calibrated, points)) is not None:
+    if isinstance(compared, RigComparison):
         record["comparison"] = comparison_record(compared, unit=record["unit"])
         pictures.append(targets[2])
         draw_comparison(targets[2], compared, calibrated.cameras[0], depths, unit=record["unit"],
@@ -115,14 +122,18 @@ def calibrate_series(
     return board_text(record), record | {"out": str(options.out)}
 
 
-def _compared(former: Rig, now: Rig, points: Floats) -> RigComparison | None:
-    """Compare with the former rig; None where it has not the same devices."""
+def _compared(
+    options: SeriesOptions, former: Rig, now: Rig, points: Floats
+) -> RigComparison | Finding:
+    """Compare with the former rig; where it has not the same devices, a warning."""
     from fringe3d.calibrate import compare_rigs
+    from fringe3d.health import Finding
 
     try:
         return compare_rigs(former, now, points)
-    except CalibrationError:
-        return None
+    except CalibrationError as problem:
+        text = f"not compared with {options.rig}: {str(problem).removeprefix('compare: ')}"
+        return Finding("warning", "not_compared", 0.0, text)
 
 
 def _first_from_world(

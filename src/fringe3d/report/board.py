@@ -12,59 +12,78 @@ from scipy.spatial.transform import Rotation
 from fringe3d.calibrate import (
     BoardCalibration,
     PoseLeftOut,
+    bad_poses,
     focal_sigma_by_poses,
+    form_covariance,
     point_covariance,
 )
-from fringe3d.geometry import project
+from fringe3d.geometry import depth_interval, project
 from fringe3d.health import Finding
 from fringe3d.model import Device, Rig
 from fringe3d.model.covariance import LENS_NUMBERS
+from fringe3d.report.board_regions import regions_of
 
 Floats = NDArray[np.float64]
 
-GRID = (15, 11)
+GRID = (21, 16)
 """Places across the image of the first camera at which the volume is looked at."""
 
-N_DEPTHS = 3
+LAYERS = (0.2, 0.5, 0.8)
+"""Parts of the volume's depth range at which it is looked at."""
+
+LEAST_POINTS = 4
+"""A motion and a scale take seven numbers."""
 
 
-def volume_grid(rig: Rig, depth_mm: tuple[float, float], /) -> tuple[Floats, Floats]:
+def volume_grid(rig: Rig, /) -> tuple[Floats, Floats]:
     """Return points in the measuring volume along rays of the first camera.
 
     Returns
     -------
     (n_depths, rows, cols, 3), mm, world frame; (n_depths,), mm
-        NaN where a device does not see the point.
+        NaN outside the volume, and where a device does not see the point.
     """
+    assert rig.volume is not None
     first = rig.cameras[0]
     x = np.linspace(0, first.n_cols - 1, GRID[0])
     y = np.linspace(0, first.n_rows - 1, GRID[1])
     flat = (np.stack(np.meshgrid(x, y), axis=-1) - first.center_px) / first.focal_px
     rays = np.concatenate([flat, np.ones((*flat.shape[:2], 1))], axis=-1)
-    depths = np.linspace(*depth_mm, N_DEPTHS)
-    points = first.device_from_world.inverse().apply(depths[:, None, None, None] * rays)
+    world_from_first = first.device_from_world.inverse()
+    near, far = depth_interval(
+        world_from_first.translation, rays @ world_from_first.rotation.T, rig.volume
+    )
+    hit = near < far
+    low, high = (near[hit].min(), far[hit].max()) if hit.any() else (np.nan, np.nan)
+    depths = low + np.array(LAYERS) * (high - low)
+    points = world_from_first.apply(depths[:, None, None, None] * rays)
+    kept = rig.volume.contains(points)
     for device in rig.devices:
         pixels = project(device, points)
         beyond = np.array([device.n_cols, device.n_rows]) - 0.5
-        seen = np.asarray(((pixels >= -0.5) & (pixels <= beyond)).all(axis=-1))
-        points = np.where(seen[..., None], points, np.nan)
-    return points, depths
+        kept &= np.asarray(((pixels >= -0.5) & (pixels <= beyond)).all(axis=-1))
+    return np.where(kept[..., None], points, np.nan), depths
 
 
-def volume_sigma(calibration: BoardCalibration, points: Floats, /) -> Floats:
-    """Return the standard deviation of points from the calibration, (..., 3), mm, along x, y, z of
-    the first camera; NaN where a point is NaN or only one device measures."""
-    sigma = np.full(points.shape, np.nan)
+def volume_sigma(calibration: BoardCalibration, points: Floats, /) -> tuple[Floats, Floats]:
+    """Return how uncertain points are through the calibration, each (...), mm.
+
+    Returns
+    -------
+    place, form : (...) float, mm
+        Standard deviation of the distance from where a point is, and of that without what a motion
+        and a scale of all points undo; NaN where a point is NaN or only one device measures.
+    """
+    place, form = np.full(points.shape[:-1], np.nan), np.full(points.shape[:-1], np.nan)
     seen = np.isfinite(points).all(axis=-1)
-    if len(calibration.devices) < 2 or not seen.any():
-        return sigma
-    covariance = point_covariance(
-        calibration.devices, calibration.covariance, points[seen], noise_px=calibration.noise_px
-    )
-    turn = calibration.devices[0].device_from_world.rotation
-    turned = turn @ covariance @ turn.T
-    sigma[seen] = np.sqrt(np.maximum(np.diagonal(turned, axis1=1, axis2=2), 0))
-    return sigma
+    if len(calibration.devices) < 2 or seen.sum() < LEAST_POINTS:
+        return place, form
+    for result, of in ((place, point_covariance), (form, form_covariance)):
+        covariance = of(
+            calibration.devices, calibration.covariance, points[seen], noise_px=calibration.noise_px
+        )
+        result[seen] = np.sqrt(np.maximum(np.trace(covariance, axis1=1, axis2=2), 0))
+    return place, form
 
 
 def board_record(
@@ -76,23 +95,29 @@ def board_record(
     /,
 ) -> dict[str, Any]:
     """Return the figures of a calibration as plain data."""
-    points, depths = volume_grid(rig, depth_mm)
-    sigma = np.linalg.norm(volume_sigma(calibration, points), axis=-1)
+    points, depths = volume_grid(rig)
+    places, forms = volume_sigma(calibration, points)
     by_poses = focal_sigma_by_poses(calibration, left_out)
     volume = [
-        {"depth": float(depth), "sigma_median": float(np.median(known)),
-         "sigma_largest": float(known.max())}
-        for depth, plane in zip(depths, sigma, strict=True)
-        if (known := plane[np.isfinite(plane)]).size
+        {"depth": float(depth),
+         "sigma_median": float(np.nanmedian(place)), "sigma_largest": float(np.nanmax(place)),
+         "form_sigma_median": float(np.nanmedian(form)),
+         "form_sigma_largest": float(np.nanmax(form))}
+        for depth, place, form in zip(depths, places, forms, strict=True)
+        if np.isfinite(place).any()
     ]  # fmt: skip
+    bad = {b.pose for b in bad_poses(calibration)}
     board = calibration.board
     return {
         "board": {"text": board.text, "kind": board.kind, "size": [board.n_cols, board.n_rows],
                   "pitch_mm": board.pitch_mm, "has_scale": board.has_scale,
                   "shape": calibration.shape,
                   "bend": float(np.ptp(calibration.shape_mm[:, 2]))},
-        "devices": [_device_record(calibration, d, by_poses[d.name]) for d in calibration.devices],
+        "devices": [
+            _device_record(calibration, d, by_poses[d.name], bad) for d in calibration.devices
+        ],
         "poses": _pose_records(calibration, left_out),
+        "bad_poses": sorted(bad),
         "views_left_out": list(calibration.left_out),
         "shapes_tried": [{"shape": t.shape, "gain": t.gain} for t in calibration.shape_trials],
         "condition": calibration.condition,
@@ -107,10 +132,11 @@ def board_record(
 
 
 def _device_record(
-    calibration: BoardCalibration, device: Device, focal_by_poses: float
+    calibration: BoardCalibration, device: Device, focal_by_poses: float, bad: set[str]
 ) -> dict[str, Any]:
     name = device.name
     own = [v for v in calibration.views if v.device == name]
+    regions = regions_of(calibration, device)
     return {
         "name": name,
         "role": device.role,
@@ -118,23 +144,28 @@ def _device_record(
         "poses": len({v.pose for v in own}),
         "corners": sum(map(len, own)),
         "rms_px": calibration.rms_px(name),
+        "rms_of_good_poses_px": calibration.rms_px(name, without=bad),
         "noise_px": calibration.noise_px[name],
         "lens": calibration.lenses[name],
         "lenses_tried": [
             {"lens": t.lens, "lacking": t.lacking} for t in calibration.trials.get(name, ())
         ],
-        "coverage": _coverage(calibration, device),
+        "coverage": regions.coverage,
+        "regions": {
+            "corners": regions.n_corners.tolist(),
+            "rms_px": _or_none(regions.rms_px.tolist()),
+            "shared_px": _or_none(regions.shared_px.tolist()),
+        },
         "focal_sigma_by_poses_px": focal_by_poses,
         "numbers": _numbers(calibration, device),
     }
 
 
-def _coverage(calibration: BoardCalibration, device: Device) -> float:
-    """Return the part of a grid of 8 x 6 over the image in which there is a corner."""
-    pixels = np.concatenate([v.pixels for v in calibration.views if v.device == device.name])
-    cell = np.floor((pixels + 0.5) / [device.n_cols, device.n_rows] * [8, 6]).astype(int)
-    inside = ((cell >= 0) & (cell < [8, 6])).all(axis=1)
-    return len(np.unique(cell[inside], axis=0)) / 48
+def _or_none(values: Any) -> Any:
+    """Return nested lists with None where nothing is known."""
+    if isinstance(values, list):
+        return [_or_none(value) for value in values]
+    return values if np.isfinite(values) else None
 
 
 def _numbers(calibration: BoardCalibration, device: Device) -> list[dict[str, Any]]:
@@ -239,9 +270,14 @@ def _volume_lines(record: dict[str, Any]) -> list[str]:
         f"{v['sigma_median']:.2g} at {v['depth']:.4g} (at most {v['sigma_largest']:.2g})"
         for v in record["volume"]
     ]
+    forms = [
+        f"{v['form_sigma_median']:.2g} (at most {v['form_sigma_largest']:.2g})"
+        for v in record["volume"]
+    ]
     return [
         f"points in the measuring volume, sigma from the calibration, {record['unit']}: "
-        f"{'; '.join(parts)}"
+        f"{'; '.join(parts)}; of their form, without a motion and a scale of all: "
+        f"{'; '.join(forms)}"
     ]
 
 
@@ -251,13 +287,16 @@ def _comparison_lines(record: dict[str, Any]) -> list[str]:
 
 
 def _device_lines(record: dict[str, Any]) -> list[str]:
+    has_bad = bool(record["bad_poses"])
+    without = f"{'of good poses':>15}" if has_bad else ""
     lines = [
-        f"{'device':<14}{'poses':>6}{'corners':>9}{'rms, px':>9}{'noise, px':>11}{'coverage':>10}"
-        "  lens"
+        f"{'device':<14}{'poses':>6}{'corners':>9}{'rms, px':>9}{without}{'noise, px':>11}"
+        f"{'coverage':>10}  lens"
     ]
     for d in record["devices"]:
+        without = f"{d['rms_of_good_poses_px']:>15.3f}" if has_bad else ""
         lines.append(
-            f"{d['name']:<14}{d['poses']:>6}{d['corners']:>9,}{d['rms_px']:>9.3f}"
+            f"{d['name']:<14}{d['poses']:>6}{d['corners']:>9,}{d['rms_px']:>9.3f}{without}"
             f"{d['noise_px']:>11.3f}{d['coverage']:>10.0%}  {d['lens']}"
         )
     return lines
@@ -298,7 +337,9 @@ def board_markdown(record: dict[str, Any], /, *, command: str, pictures: Sequenc
         "robust. Left out: the same for a pose to which the calibration was not fitted, but for "
         "the place of the board. Sigma: from the noise of single corners; what corners of one pose "
         "share shows in the focal lengths by leaving poses out. Coverage: part of a grid of 8 x 6 "
-        "over the image in which corners lie. Rotation and translation: of device_from_world, as "
-        "a rotation vector; its sigma is a turn about the device's axis. Lens: the simplest whose "
-        "missing terms could as well be zero.\n"
+        "over the image in which corners lie; the second column of pictures shows it, with the "
+        "number of corners, their rms and, as an arrow, the residual that they share. Form: what "
+        "a motion and a scale of all points do not undo. Rotation and translation: of "
+        "device_from_world, as a rotation vector; its sigma is a turn about the device's axis. "
+        "Lens: the simplest whose missing terms could as well be zero.\n"
     )

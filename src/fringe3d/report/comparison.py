@@ -1,16 +1,16 @@
-"""Two calibrations of a rig, side by side in the measuring volume."""
+"""Two calibrations of a rig, side by side in the measuring volume: in numbers and words."""
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
 from fringe3d.calibrate import RigComparison
-from fringe3d.model import Device
-from fringe3d.report.board_pictures import SIGMA_MAP, Floats, save_figure
+
+EXPECTED = 3.0
+"""Sigmas, rms over the volume: few numbers move all points together, so they rarely reach it."""
 
 
 def comparison_record(comparison: RigComparison, /, *, unit: str = "mm") -> dict[str, Any]:
@@ -18,11 +18,20 @@ def comparison_record(comparison: RigComparison, /, *, unit: str = "mm") -> dict
     moved, form = (
         np.linalg.norm(vectors, axis=-1) for vectors in (comparison.moved_mm, comparison.form_mm)
     )
+    ratios = [
+        _rms(size / sigma) if comparison.counted else None
+        for size, sigma in ((moved, comparison.moved_sigma_mm), (form, comparison.form_sigma_mm))
+    ]
+    sigmas = [
+        f" (sigma {_rms(sigma):.2g})" if comparison.counted else ""
+        for sigma in (comparison.moved_sigma_mm, comparison.form_sigma_mm)
+    ]
     text = (
         f"compared with the former calibration ({' and '.join(comparison.devices)}, over the "
-        f"measuring volume): points move by {comparison.moved_rms_mm:.3g} {unit} rms, "
-        f"{np.nanmax(moved):.3g} at most; their form by {comparison.form_rms_mm:.3g} rms, "
-        f"{np.nanmax(form):.3g} at most; lengths by {100 * (comparison.scale - 1):+.3f} %"
+        f"measuring volume): points move by {comparison.moved_rms_mm:.3g} {unit} rms{sigmas[0]}, "
+        f"{np.nanmax(moved):.3g} at most; their form by {comparison.form_rms_mm:.3g} "
+        f"rms{sigmas[1]}, {np.nanmax(form):.3g} at most; lengths by "
+        f"{100 * (comparison.scale - 1):+.3f} %. {_judged(comparison, ratios)}"
     )
     return {
         "text": text,
@@ -32,45 +41,23 @@ def comparison_record(comparison: RigComparison, /, *, unit: str = "mm") -> dict
         "form_rms": comparison.form_rms_mm,
         "form_largest": float(np.nanmax(form)),
         "scale": comparison.scale,
+        "sigma_of": list(comparison.counted),
+        "moved_in_sigmas": ratios[0],
+        "form_in_sigmas": ratios[1],
     }
 
 
-def draw_comparison(
-    path: Path,
-    comparison: RigComparison,
-    camera: Device,
-    depths: Floats,
-    /,
-    *,
-    unit: str = "mm",
-    overwrite: bool,
-) -> None:
-    """Draw by how far points move, and by how much their form changes, at several depths.
+def _judged(comparison: RigComparison, ratios: list[float | None]) -> str:
+    """Say whether the calibrations are as uncertain as they differ."""
+    whose = " and the ".join(comparison.counted)
+    known = [ratio for ratio in ratios if ratio is not None]
+    if not known:
+        return "No calibration says how certain it is"
+    told = f"{known[0]:.1f} and {known[1]:.1f} times the sigma of the {whose} calibration"
+    if max(known) < EXPECTED:
+        return f"That is {told}: no more than to be expected"
+    return f"That is {told}: the rig has changed, or one of them is wrong"
 
-    Parameters
-    ----------
-    path : Path
-    comparison : RigComparison; of points (n_depths, rows, cols)
-    camera : Device; the first
-    depths : (n_depths,), along its principal ray
-    unit : str
-    overwrite : bool
-    """
-    figure = Figure(figsize=(4.6 * len(depths), 7.6), dpi=100, layout="constrained")
-    figure.suptitle(
-        f"The former calibration minus this one, {unit}, over the image of {camera.name}",
-        fontsize=12, x=0.01, ha="left",
-    )  # fmt: skip
-    axes = figure.subplots(2, len(depths), squeeze=False)
-    extent = (-0.5, camera.n_cols - 0.5, camera.n_rows - 0.5, -0.5)
-    maps = (("points move by", comparison.moved_mm), ("form changes by", comparison.form_mm))
-    for row, (what, vectors) in zip(axes, maps, strict=True):
-        size = np.linalg.norm(vectors, axis=-1)
-        top = float(np.nanmax(size))
-        for axis, plane, depth in zip(row, size, depths, strict=True):
-            image = axis.imshow(plane, cmap=SIGMA_MAP, vmin=0, vmax=top, extent=extent)
-            axis.set_facecolor("#d9dce1")
-            axis.set_title(f"{what}, depth {depth:.4g} {unit}", fontsize=10, loc="left")
-            axis.tick_params(labelsize=8)
-        figure.colorbar(image, ax=list(row), shrink=0.8, pad=0.01)
-    save_figure(path, figure, overwrite=overwrite)
+
+def _rms(values: NDArray[np.float64]) -> float:
+    return float(np.sqrt(np.nanmean(values**2)))
