@@ -7,6 +7,7 @@ prove that its words are understood.
 
 from __future__ import annotations
 
+import math
 import os
 import re
 import select
@@ -23,6 +24,7 @@ import pytest
 
 from closed_form import Recording
 from fringe3d.cli import main
+from fringe3d.cli.importer import direction_that_fits
 from fringe3d.errors import OutputError
 from fringe3d.io.atomic import write_text
 from fringe3d.io.images import write_png
@@ -465,6 +467,25 @@ def test_import_finds_in_which_direction_r_and_t_map(
     np.testing.assert_allclose(
         second_from_first(found.cameras).translation, pose.translation, atol=1e-9
     )
+
+
+@pytest.mark.parametrize(("points", "texture", "expected", "why"), [
+    ((70_000, 71_000), (0.77, 0.91), True, "texture 0.77 as OpenCV's, 0.91 the other way"),
+    ((70_000, 71_000), (0.91, 0.77), False, "texture 0.91"),
+    ((70_000, 60_000), (0.77, 0.91), True, "texture"),  # it is at the points themselves
+    ((70_000, 71_000), (0.90, 0.91), None, "70,000 points as OpenCV's"),
+    ((70_000, 71_000), (math.nan, 0.9), None, "points"),
+    ((70_000, 80_000), (math.nan, math.nan), True, "points"),
+    ((70_000, 60_000), (math.nan, math.nan), False, "points"),
+    ((70_000, 0), (0.5, 0.9), False, "points"),  # what other checks contradict does not count
+    ((0, 70_000), (math.nan, 0.9), True, "points"),
+])  # fmt: skip
+def test_texture_decides_between_directions_that_fit(
+    points: tuple[int, int], texture: tuple[float, float], expected: bool | None, why: str
+) -> None:
+    is_inverse, told = direction_that_fits(points, texture)
+    assert is_inverse is expected
+    assert why in told
 
 
 def test_import_names_what_may_mend_a_pose_that_contradicts_the_images(

@@ -22,6 +22,7 @@ from fringe3d.cli import main
 from fringe3d.errors import MethodError
 from fringe3d.io.images import read_image
 from fringe3d.io.recording import read_scan
+from fringe3d.io.rigfile import read_rig
 from fringe3d.model import NO_ORDER
 
 pytest.importorskip("embreex")
@@ -400,6 +401,28 @@ def test_scans_of_a_series_have_their_own_noise(tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("without_pictures")
+def test_a_knock_moves_a_device_of_the_rig_that_is_written(tmp_path: Path) -> None:
+    """The images stay as they were; the rig beside them says where devices stood before."""
+    for name, more in (("still", ()), ("knocked", ("--knock", "c2:0.05deg:0.1mm"))):
+        main(["simulate", "kolibri", *TINY, *more, "--out", str(tmp_path / name)])
+    still, moved = (read_scan(tmp_path / name) for name in ("still", "knocked"))
+    for a, b in zip(still.stacks, moved.stacks, strict=True):
+        np.testing.assert_array_equal(a.images, b.images)
+    true = read_rig(tmp_path / "knocked" / "true-rig.toml")
+    assert not (tmp_path / "still" / "true-rig.toml").exists()
+    assert still.rig is not None
+    assert moved.rig is not None
+    devices = zip(true.devices, still.rig.devices, moved.rig.devices, strict=True)
+    for own, before, after in devices:
+        np.testing.assert_allclose(own.center_world, before.center_world)
+        off = own.device_from_world @ after.device_from_world.inverse()
+        cosine = (np.trace(off.rotation) - 1) / 2
+        wanted = np.radians(0.05) if own.name == "c2" else 0.0
+        assert np.arccos(min(cosine, 1.0)) == pytest.approx(wanted, abs=1e-6)  # of a cosine
+        shift = np.linalg.norm(own.center_world - after.center_world)
+        assert shift == pytest.approx(0.1 if own.name == "c2" else 0.0, abs=1e-9)
+
+
 def test_one_camera_alone(tmp_path: Path) -> None:
     folder = simulate(tmp_path / "scan", *SMALL, preset="single")
     assert set(truth_of(folder)) == (C1_KEYS | {"world_from_object"}) - {"pixels_c2", "seen_by_c2"}
@@ -431,6 +454,14 @@ def test_an_earlier_scan_is_replaced_if_asked(tmp_path: Path) -> None:
 # Mistakes
 
 ONE_LINE = {
+    "knock": (
+        ["kolibri", "--knock", "c2:0.05:0.1"],
+        "--knock: expected device, turn and shift, as c2:0.05deg:0.1mm, found 'c2:0.05:0.1'",
+    ),
+    "knock of what": (
+        ["kolibri", "--knock", "c3:0.05deg:0.1mm"],
+        "--knock 'c3:0.05deg:0.1mm': expected one of the devices c1, c2, projector, found 'c3'",
+    ),
     "near preset": (["kolibry"], "preset: expected one of .*single, found 'kolibry'. "
                                  "Did you mean 'kolibri'?"),
     "far preset": (["xyz"], "preset: expected one of .*, found 'xyz'. Choose one of them"),

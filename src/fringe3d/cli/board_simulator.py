@@ -11,7 +11,7 @@ from fringe3d.errors import MethodError
 from fringe3d.io.boardfile import KINDS, board_text, read_board
 from fringe3d.io.rigfile import rig_text
 from fringe3d.io.simulation import write_truth
-from fringe3d.model import Board, RigidTransform
+from fringe3d.model import Board, Rig, RigidTransform
 from fringe3d.simulate import Preset, Scene, Surface
 from fringe3d.simulate.boards import PrintedBoard, board_poses, printed_board
 
@@ -57,11 +57,12 @@ def board_series(
     return BoardSeries(printed=printed, poses=poses)
 
 
-def write_series_truth(folder: Path, series: BoardSeries, preset: Preset, /) -> None:
-    """Write ``board.toml`` (as it should be), ``rig.toml`` and ``truth.npz`` (as they are)."""
+def write_series_truth(folder: Path, series: BoardSeries, rig: Rig, /) -> None:
+    """Write ``board.toml`` (as it should be), ``rig.toml`` (which moved devices no longer obey) and
+    ``truth.npz`` (as it is)."""
     board: Board = series.printed.board
     (folder / "board.toml").write_text(board_text(board), encoding="utf-8")
-    (folder / "rig.toml").write_text(rig_text(preset.rig), encoding="utf-8")
+    (folder / "rig.toml").write_text(rig_text(rig), encoding="utf-8")
     matrices = np.tile(np.eye(4), (len(series.poses), 1, 1))
     for matrix, pose in zip(matrices, series.poses, strict=True):
         matrix[:3, :3], matrix[:3, 3] = pose.rotation, pose.translation

@@ -8,6 +8,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
+
 from fringe3d.cli.console import Reporter, fail
 from fringe3d.cli.dialogue import ImportOptions, complete
 from fringe3d.errors import (
@@ -17,6 +19,7 @@ from fringe3d.errors import (
     PlanError,
     RigError,
 )
+from fringe3d.health import CORRELATION
 from fringe3d.io.atomic import require_writable, write_text
 from fringe3d.io.importing import (
     guess_cameras,
@@ -47,6 +50,10 @@ POSE_ERRORS = (CalibrationError, EmptyResultError, RigError)
 
 MORE_POINTS = 1.05
 """Times as many: so far one direction must be ahead to be taken for the right one."""
+
+CLEARER_TEXTURE = 0.15
+"""Of artanh of the correlation: five times its spread, for a part of the image holds some 170
+independent points, and the median of nine parts is taken."""
 
 
 def import_recording(options: ImportOptions, reporter: Reporter, /) -> str:
@@ -185,23 +192,56 @@ def _check_both_directions(
         raise _failed(options, found)
     write_text(options.rig_out, _rig_text(inverse, cameras), overwrite=True)
     other = _tried(inverse, reporter)
-    both = _n_points(found), _n_points(other)
-    fit = f"{both[0]:,} points as OpenCV's, {both[1]:,} the other way round"
-    if both[1] > MORE_POINTS * both[0] and not isinstance(other, Fringe3DError):
+    is_inverse, why = direction_that_fits(
+        (_n_points(found), _n_points(other)), (_correlation(found), _correlation(other))
+    )
+    if is_inverse and not isinstance(other, Fringe3DError):
         return (
             f"{_told(inverse, other)}\nR and T map the second device to the first "
-            f"(--inverse-pose): so they fit the images better ({fit})"
+            f"(--inverse-pose): so they fit the images better ({why})"
         )
     write_text(options.rig_out, rig, overwrite=True)
     if isinstance(found, Fringe3DError):
         raise _failed(options, found)
     told = _told(options, found)
-    if both[1] > both[0] / MORE_POINTS:
+    if is_inverse is None:
         told += (
-            f"\nwarning: R and T fit in both directions ({fit}), and are taken as OpenCV's, from "
+            f"\nwarning: R and T fit in both directions ({why}), and are taken as OpenCV's, from "
             "the first device to the second. If the cloud is deformed, import with --inverse-pose"
         )
     return told
+
+
+def direction_that_fits(
+    n_points: tuple[int, int], correlations: tuple[float, float], /
+) -> tuple[bool | None, str]:
+    """Tell whether R and T map the second device to the first; None where both fit.
+
+    Parameters
+    ----------
+    n_points : (int, int); as OpenCV writes R and T, and the other way round
+    correlations : (float, float); of the texture of both cameras; NaN where it does not tell
+
+    Returns
+    -------
+    bool or None, str
+        And the figures in words. Texture decides where it tells in both directions: for cameras
+        that stand mirror-like, fringes match either way, the surface does not.
+
+    Examples
+    --------
+    >>> direction_that_fits((70_000, 71_000), (0.77, 0.91))[0]
+    True
+    """
+    here, there = n_points
+    points = f"{here:,} points as OpenCV's, {there:,} the other way round"
+    gain = float(np.diff(np.arctanh(np.clip(correlations, -0.999, 0.999)))[0])
+    if min(n_points) > 0 and abs(gain) > CLEARER_TEXTURE:
+        texture = "correlation of the texture {:.2f} as OpenCV's, {:.2f} the other way round"
+        return gain > 0, texture.format(*correlations)
+    if there > MORE_POINTS * here:
+        return True, points
+    return (None if there > here / MORE_POINTS else False), points
 
 
 def _tried(options: ImportOptions, reporter: Reporter) -> Measurement | Fringe3DError:
@@ -217,6 +257,14 @@ def _n_points(result: Measurement | Fringe3DError) -> int:
         return 0
     is_wrong = any(f.name in POSE_FINDINGS for f in result.warnings)
     return 0 if is_wrong else result.points.n_points
+
+
+def _correlation(result: Measurement | Fringe3DError) -> float:
+    """Return the correlation of the texture; NaN where it is not known."""
+    if isinstance(result, Fringe3DError):
+        return math.nan
+    return next((f.figures[CORRELATION] for f in result.findings if CORRELATION in f.figures),
+                math.nan)  # fmt: skip
 
 
 def _check(options: ImportOptions, reporter: Reporter) -> str:

@@ -33,6 +33,7 @@ def simulate(
     settings: Path | None = None,
     bend: Annotated[float, Parameter(validator=at_least(0))] = 0.0,
     print_error: Annotated[float, Parameter(validator=at_least(0))] = 0.0,
+    knock: Annotated[list[str] | None, Parameter(negative=())] = None,
     overwrite: Overwrite = False,
 ) -> None:
     """Record a scan without hardware, with exact truth.
@@ -79,6 +80,9 @@ def simulate(
         By how much the rim of a board is bent, mm.
     print_error
         Standard deviation of the places of its corners, mm.
+    knock
+        Device that moved since the calibration, as c2:0.05deg:0.1mm: rig.toml is the former rig,
+        true-rig.toml the one that recorded. Repeat it for several.
     """
     from fringe3d.io.importing import parse_size
 
@@ -103,6 +107,7 @@ def simulate(
         settings=settings,
         bend_mm=bend,
         print_error_mm=print_error,
+        knocks=tuple(knock or ()),
         overwrite=overwrite,
     )
     with Reporter(quiet=False).running() as reporter:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import difflib
 import math
+import re
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -22,10 +23,11 @@ from fringe3d.cli.console import Reporter
 from fringe3d.cli.stage_cache import prepare_cached
 from fringe3d.errors import Fringe3DError, MethodError, PlanError
 from fringe3d.io.atomic import new_folder, require_writable
+from fringe3d.io.rigfile import rig_text
 from fringe3d.io.scanfile import read_plan
 from fringe3d.io.scanfolder import write_scan
 from fringe3d.io.simulation import read_settings, settings_text, write_truth
-from fringe3d.model import NO_ORDER, PatternPlan
+from fringe3d.model import NO_ORDER, PatternPlan, Rig
 from fringe3d.patterns import across, method_plan
 from fringe3d.report.simulation import draw_scene
 from fringe3d.simulate import (
@@ -41,6 +43,7 @@ from fringe3d.simulate import (
     Surface,
     Truth,
     from_file,
+    knocked,
     record,
     turntable,
 )
@@ -54,7 +57,7 @@ KINDS = {
 }
 
 HEAD = ("preset", "object", "plan", "seed", "position", "steps", "period_px", "camera_size",
-        "background", "rays")  # fmt: skip
+        "background", "rays", "knock")  # fmt: skip
 """Keys of a ``simulation.toml`` that repeat the command line; as settings they are not read."""
 
 BOARD_HEAD = ("bend_mm", "print_error_mm")
@@ -81,6 +84,7 @@ class SimulateOptions:
     overwrite: bool
     bend_mm: float = 0.0
     print_error_mm: float = 0.0
+    knocks: tuple[str, ...] = ()
 
 
 def run_simulation(options: SimulateOptions, reporter: Reporter, /) -> str:
@@ -88,6 +92,7 @@ def run_simulation(options: SimulateOptions, reporter: Reporter, /) -> str:
     preset = _preset(options)
     require_writable(options.out, overwrite=options.overwrite, inputs=_inputs(options))
     settings = _settings(options)
+    rig = _knocked(preset.rig, options)
     try:
         plan = _plan(options, preset)
         series = _series(options, preset)
@@ -103,9 +108,10 @@ def run_simulation(options: SimulateOptions, reporter: Reporter, /) -> str:
                 stage = prepare_cached(preset.rig, turned, setup, progress=reporter.step)
                 is_one = len(scenes) == 1 and series is None
                 place = folder if is_one else folder / f"{number:03d}"
-                _write(place, stage, plan, options, settings, number, reporter)
+                _write(place, stage, plan, options, settings, number, reporter, rig)
             if series is not None:
-                write_series_truth(folder, series, preset)
+                write_series_truth(folder, series, rig)
+                _write_true_rig(folder, preset.rig, options)
             if len(scenes) > 1:
                 draw_scene(folder / "overview.png", stage, plan, title=_title(options))
     except Fringe3DError:
@@ -118,6 +124,42 @@ def run_simulation(options: SimulateOptions, reporter: Reporter, /) -> str:
         f"{scans} of {plan.n_images} images, {len(preset.rig.cameras)} camera(s) {width} x "
         f"{height} px, with truth -> {options.out}"
     )
+
+
+def _knocked(rig: Rig, options: SimulateOptions) -> Rig:
+    """Return the rig as it was calibrated, before devices moved."""
+    for text in options.knocks:
+        name, turn_deg, shift_mm = parse_knock(text)
+        try:
+            rig = knocked(rig, name, turn_deg=turn_deg, shift_mm=shift_mm, seed=options.seed)
+        except ValueError as problem:
+            raise MethodError(f"--knock '{text}': {str(problem).removeprefix('knock: ')}") from None
+    return rig
+
+
+def _write_true_rig(folder: Path, rig: Rig, options: SimulateOptions) -> None:
+    """Write the rig that recorded, where it is not that of the scan."""
+    if options.knocks:
+        (folder / "true-rig.toml").write_text(rig_text(rig), encoding="utf-8")
+
+
+def parse_knock(text: str, /) -> tuple[str, float, float]:
+    """Return device, turn in degrees and shift in mm of ``--knock``.
+
+    Examples
+    --------
+    >>> parse_knock("c2:0.05deg:0.1mm")
+    ('c2', 0.05, 0.1)
+    """
+    form = re.fullmatch(r"([^:]+):([\d.]+)deg:([\d.]+)mm", text)
+    try:
+        if form is None:
+            raise ValueError
+        return form[1], float(form[2]), float(form[3])
+    except ValueError:
+        raise MethodError(
+            f"--knock: expected device, turn and shift, as c2:0.05deg:0.1mm, found '{text}'"
+        ) from None
 
 
 def _series(options: SimulateOptions, preset: Preset) -> BoardSeries | None:
@@ -212,10 +254,12 @@ def _write(
     settings: dict[str, Any],
     number: int,
     reporter: Reporter,
+    rig: Rig,
 ) -> None:
     scan = record(stage, plan, seed=options.seed, position=number, title=_title(options),
                   progress=reporter.step)  # fmt: skip
-    write_scan(folder, scan)
+    write_scan(folder, replace(scan, rig=rig))
+    _write_true_rig(folder, stage.rig, options)
     n_dropped = len(set(stage.setup.recording.dropped))
     for place in range(plan.n_images - n_dropped, plan.n_images):
         for stack in scan.stacks:  # what was dropped is missing at the end
@@ -234,6 +278,8 @@ def _write(
          if is_board(options.thing) else {})  # fmt: skip
     if options.period_px is not None:
         head["period_px"] = options.period_px
+    if options.knocks:
+        head["knock"] = list(options.knocks)
     (folder / "simulation.toml").write_text(settings_text(head, settings), encoding="utf-8")
     draw_scene(folder / "overview.png", stage, plan, title=_title(options))
 

@@ -20,9 +20,10 @@ from fringe3d.health.response import (
     check_phases,
     period_disagreement,
 )
-from fringe3d.health.texture import check_texture
+from fringe3d.health.texture import CORRELATION, check_texture
 
 __all__ = [
+    "CORRELATION",
     "EPIPOLAR_WARNING_PX",
     "Finding",
     "axis_name",

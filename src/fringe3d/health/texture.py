@@ -39,6 +39,9 @@ TEXTURE_MAX_SHIFT_PX = 3
 TEXTURE_CLEAR = 0.12
 """The peak of the texture correlation must stand out this far to accuse the calibration."""
 
+CORRELATION = "correlation"
+"""Key of the figure: of the texture, at the matched points."""
+
 TEXTURE_MIN_SIGNAL = 4.0
 FINE_FILTER_PIXELS = 4 * np.pi
 """Pixels that a Gaussian of 1 px averages over."""
@@ -69,9 +72,11 @@ def check_texture(
         return [Finding("error", name, shift, text)]
     if agree:
         typical = float(np.median([tile.here for tile in agree]))
-        return [Finding("ok", name, 0.0, "the texture of both cameras agrees at the matched points "
-                        f"(in {len(agree)} of {len(tiles)} parts of the image, correlation "
-                        f"{typical:.2f})")]  # fmt: skip
+        text = (
+            f"the texture of both cameras agrees at the matched points (in {len(agree)} of "
+            f"{len(tiles)} parts of the image, correlation {typical:.2f})"
+        )
+        return [Finding("ok", name, 0.0, text, {CORRELATION: typical})]
     if not tiles or texture_signal(phases1) < TEXTURE_MIN_SIGNAL:
         return [Finding("ok", name, float("nan"), "too little texture to check the calibration")]
     text = (

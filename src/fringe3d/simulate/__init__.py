@@ -1,5 +1,6 @@
 """Scans with exact truth: scenes, ray casting, sensors. A stranger to the estimator."""
 
+from fringe3d.simulate.knock import knocked
 from fringe3d.simulate.mesh import Mesh
 from fringe3d.simulate.objects import OBJECTS, from_file
 from fringe3d.simulate.optics import CameraOptics, ProjectorOptics, Recording, Surface
@@ -22,6 +23,7 @@ __all__ = [
     "Surface",
     "Truth",
     "from_file",
+    "knocked",
     "prepare",
     "record",
     "turntable",
