@@ -116,9 +116,9 @@ def test_the_sigma_and_flatness_of_a_ripple_are_those_of_a_cosine() -> None:
     points = rippled()
     fit = fit_plane(points)
     assert fit.sigma_mm == pytest.approx(0.02 / math.sqrt(2), rel=1e-4)
-    assert fit.flatness_mm == pytest.approx(0.04 * math.cos(math.pi / 60), rel=1e-9)
-    np.testing.assert_allclose(fit.normal, [0, 0, 1], atol=1e-12)
-    np.testing.assert_allclose(fit.center_mm, points.mean(axis=0), atol=1e-12)
+    assert fit.form_mm == pytest.approx(0.04 * math.cos(math.pi / 60), rel=1e-9)
+    np.testing.assert_allclose(fit.surface.normal, [0, 0, 1], atol=1e-12)
+    np.testing.assert_allclose(fit.surface.center_mm, points.mean(axis=0), atol=1e-12)
     assert (fit.n_used, fit.n_rejected) == (len(points), 0)
 
 
@@ -131,11 +131,11 @@ def test_distances_are_square_to_the_plane_however_it_stands(tilt_deg: float) ->
     turn = Rotation.from_euler("zxz", [20, tilt_deg, -50], degrees=True)
     fit = fit_plane(turn.apply(flat) + np.array([100.0, 50.0, -300.0]))
     normal = turn.apply([0.0, 0.0, 1.0])
-    assert abs(float(fit.normal @ normal)) > 1 - 1e-8
-    assert fit.normal[np.argmax(np.abs(fit.normal))] > 0
+    assert abs(float(fit.surface.normal @ normal)) > 1 - 1e-8
+    assert fit.surface.normal[np.argmax(np.abs(fit.surface.normal))] > 0
     # 3 of 4000 degrees of freedom go into the plane; it moves by sigma / sqrt(n).
     assert fit.sigma_mm == pytest.approx(float(heights.std()), rel=2e-3)
-    sign = np.sign(fit.normal @ normal)
+    sign = np.sign(fit.surface.normal @ normal)
     np.testing.assert_allclose(fit.distances_mm * sign, heights, atol=1.5e-3)
 
 
@@ -159,12 +159,12 @@ def test_three_per_mille_are_left_out_and_not_a_point_more() -> None:
     assert (fit.n_used, fit.n_rejected) == (997, 3)
     assert np.flatnonzero(~fit.is_used).tolist() == [17, 500, 901]
     assert fit.sigma_mm == pytest.approx(0.01 / math.sqrt(2), rel=0.01)
-    assert fit.flatness_mm == pytest.approx(0.02 * math.cos(math.pi / 10), rel=0.01)
+    assert fit.form_mm == pytest.approx(0.02 * math.cos(math.pi / 10), rel=0.01)
     np.testing.assert_allclose(fit.distances_mm[[17, 500, 901]], [6.0, -6.0, 6.0], atol=0.02)
     points[333, 2] -= 6.0
     fit = fit_plane(points, rejected_part=0.003)
     assert fit.n_rejected == 3
-    assert fit.flatness_mm > 5.9
+    assert fit.form_mm > 5.9
     assert fit_plane(points).n_rejected == 0
 
 

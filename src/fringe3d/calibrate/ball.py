@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fringe3d.errors import EmptyResultError
+from fringe3d.evaluate import algebraic_sphere, settled
 
 Floats = NDArray[np.float64]
 
@@ -58,8 +59,8 @@ def ball_center(points_mm: Floats, pixels: Floats, at_px: tuple[float, float], /
             raise EmptyResultError(
                 f"{where}: expected {LEAST_POINTS} points on it at least, found {int(own.sum())}"
             )
-        center, radius = _sphere(points[own])
-        off = np.linalg.norm(points - center, axis=1) - radius
+        sphere = settled(algebraic_sphere(points[own]), points[own])
+        off, radius = sphere.distances(points), sphere.radius_mm
         sigma = MAD_TO_SIGMA * float(np.median(np.abs(off[own])))
         before, own = own, np.abs(off) < FAR * max(sigma, 1e-6 * radius)
         if np.array_equal(before, own):
@@ -70,21 +71,4 @@ def ball_center(points_mm: Floats, pixels: Floats, at_px: tuple[float, float], /
             f"{where}: expected a sphere, found {wide:.3g} mm of points {sigma:.2g} mm off one "
             f"with a radius of {radius:.3g} mm. Name a pixel in the middle of a ball"
         )
-    return center
-
-
-def _sphere(points: Floats) -> tuple[Floats, float]:
-    """Return centre and radius of the sphere through points (n, 3), least squares of distances."""
-    middle = points.mean(axis=0)
-    near = points - middle
-    linear, *_ = np.linalg.lstsq(
-        np.column_stack([2 * near, np.ones(len(near))]), (near**2).sum(axis=1), rcond=None
-    )
-    center, radius = linear[:3], float(np.sqrt(max(linear[3] + linear[:3] @ linear[:3], 1e-12)))
-    for _ in range(5):
-        away = near - center
-        distance = np.linalg.norm(away, axis=1)
-        slopes = np.column_stack([-away / distance[:, None], -np.ones(len(near))])
-        step, *_ = np.linalg.lstsq(slopes, radius - distance, rcond=None)
-        center, radius = center + step[:3], radius + float(step[3])
-    return np.asarray(middle + center), radius
+    return sphere.center_mm

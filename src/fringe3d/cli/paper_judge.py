@@ -89,12 +89,12 @@ class Judge:
         found = points.points_mm[top]
         fit = fit_plane(found, rejected_part=REJECTED_PART)
         rays_mm = found - self.origin_mm
-        slant = np.abs(rays_mm @ fit.normal) / np.linalg.norm(rays_mm, axis=-1)
+        slant = np.abs(rays_mm @ fit.surface.normal) / np.linalg.norm(rays_mm, axis=-1)
         predicted = (slant * points.sigma_mm[top])[fit.is_used]
         return PlaneFigures(
             sigma_um=1000 * fit.sigma_mm,
             noise_um=1000 * sigma_without_bend(found, fit),
-            flatness_um=1000 * fit.flatness_mm,
+            flatness_um=1000 * fit.form_mm,
             predicted_um=1000 * float(np.sqrt((predicted**2).mean())),
             n_points=fit.n_used,
         )

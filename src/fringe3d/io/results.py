@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 from zipfile import BadZipFile
@@ -13,35 +14,68 @@ from numpy.typing import NDArray
 from fringe3d.errors import MethodError
 from fringe3d.model import PointCloud, Rejection
 
-PLY_VERTEX = np.dtype(
-    [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("red", "u1"), ("green", "u1"), ("blue", "u1"),
-     ("sigma_mm", "<f4")]
-)  # fmt: skip
+VIEWPOINT = "viewpoint_mm"
+"""Comment in PLY files: from where the points were seen."""
 
 
-def write_ply(path: Path, cloud: PointCloud, /, *, comment: str = "") -> None:
+def write_ply(
+    path: Path,
+    cloud: PointCloud,
+    /,
+    *,
+    comment: str = "",
+    viewpoint_mm: NDArray[np.float64] | None = None,
+) -> None:
     """Write a cloud as binary PLY: position in mm, grey as colour, sigma along the ray.
 
-    Coordinates are single precision: 0.03 um at 500 mm.
+    Coordinates are single precision: 0.03 um at 500 mm. A comment holds the viewpoint, the centre
+    of C1 from which the rays start.
     """
-    vertices = np.empty(len(cloud.points_mm), PLY_VERTEX)
-    for axis, name in enumerate("xyz"):
-        vertices[name] = cloud.points_mm[:, axis]
-    for name in ("red", "green", "blue"):
-        vertices[name] = cloud.grey
-    vertices["sigma_mm"] = cloud.sigma_mm
-    kinds = {"<f4": "float", "|u1": "uchar"}
-    header = ["ply", "format binary_little_endian 1.0"]
-    header += [f"comment {comment}"] if comment else []
+    comments = [comment] if comment else []
+    if viewpoint_mm is not None:
+        comments.append(" ".join([VIEWPOINT, *(f"{value:.9g}" for value in viewpoint_mm)]))
+    colours = np.repeat(cloud.grey[:, None], 3, axis=1)
+    _write_vertices(path, cloud.points_mm, colours, {"sigma_mm": cloud.sigma_mm}, comments)
+
+
+def write_coloured_ply(
+    path: Path,
+    points_mm: NDArray[np.float64],
+    colours: NDArray[np.uint8],
+    /,
+    **values: NDArray[np.floating[Any]],
+) -> None:
+    """Write points (n, 3) with colours (n, 3) and further values (n,) as binary PLY."""
+    _write_vertices(path, points_mm, colours, values, [])
+
+
+def _write_vertices(
+    path: Path,
+    points_mm: NDArray[np.float64],
+    colours: NDArray[np.uint8],
+    values: Mapping[str, NDArray[np.floating[Any]]],
+    comments: list[str],
+) -> None:
+    fields = [*((name, "<f4") for name in "xyz"), *((c, "u1") for c in ("red", "green", "blue"))]
+    fields += [(name, "<f4") for name in values]
+    vertices = np.empty(len(points_mm), np.dtype(fields))
+    for column, name in enumerate("xyz"):
+        vertices[name] = points_mm[:, column]
+    for column, name in enumerate(("red", "green", "blue")):
+        vertices[name] = colours[:, column]
+    for name, column_values in values.items():
+        vertices[name] = column_values
+    kinds = {"<f4": "float", "u1": "uchar"}
+    header = ["ply", "format binary_little_endian 1.0", *(f"comment {c}" for c in comments)]
     header += [f"element vertex {len(vertices)}"]
-    header += [f"property {kinds[PLY_VERTEX[name].str]} {name}" for name in PLY_VERTEX.names or ()]
+    header += [f"property {kinds[kind]} {name}" for name, kind in fields]
     path.write_bytes("\n".join([*header, "end_header\n"]).encode("ascii") + vertices.tobytes())
 
 
-def write_points(path: Path, maps: dict[str, NDArray[Any]], /) -> None:
-    """Write maps on the grid of C1 as NPZ, with the names of the rejection bits."""
+def write_points(path: Path, maps: dict[str, NDArray[Any]], /, **more: NDArray[Any]) -> None:
+    """Write maps on the grid of C1 as NPZ, with the names of the rejection bits, and more."""
     names = np.array([reason.name for reason in Rejection])
-    np.savez_compressed(path, allow_pickle=False, rejection_names=names, **maps)
+    np.savez_compressed(path, allow_pickle=False, rejection_names=names, **maps, **more)
 
 
 def read_points_mm(path: Path, /, *, shape: tuple[int, int]) -> NDArray[np.float64]:

@@ -68,10 +68,10 @@ def write_result(
         if result.points is None:
             write_points(folder / "phase.npz", phase_maps(result))
         else:
-            write_points(folder / "points.npz", point_maps(result))
-            write_ply(
-                folder / "cloud.ply", point_cloud(result), comment=f"fringe3d {__version__}, mm"
-            )
+            center = _camera_center(scan, result)
+            write_points(folder / "points.npz", point_maps(result), camera_center_mm=center)
+            write_ply(folder / "cloud.ply", point_cloud(result), viewpoint_mm=center,
+                      comment=f"fringe3d {__version__}, mm")  # fmt: skip
         write_overview(folder / "overview.png", result, title=_title(scan, result))
         record = measure_record(scan, options, result, request=request, own_poses=own_poses)
         if own_poses is not None:
@@ -106,6 +106,13 @@ def point_maps(result: Measurement, /) -> dict[str, NDArray[Any]]:
     if np.isfinite(matches.epipolar_residual_px).any():
         maps["epipolar_residual_px"] = matches.epipolar_residual_px
     return maps
+
+
+def _camera_center(scan: Scan, result: Measurement) -> NDArray[np.float64]:
+    """Return the centre of projection of C1 in the world frame, (3,) mm."""
+    assert scan.rig is not None
+    camera = next(c for c in scan.rig.cameras if c.name == result.main.device_name)
+    return camera.device_from_world.inverse().translation
 
 
 def phase_maps(result: Measurement, /) -> dict[str, NDArray[Any]]:
