@@ -7,6 +7,7 @@ import pytest
 from scipy import ndimage
 
 from fringe3d.health._contrast import fine_contrast
+from fringe3d.health.texture import TextureTile
 
 SHAPE = (37, 53)
 BINOMIAL = np.array([1, 4, 6, 4, 1]) / 16
@@ -28,3 +29,12 @@ def test_fine_contrast_is_the_smoothed_brightness_less_its_slow_part() -> None:
     lit = ndimage.binary_erosion(np.isfinite(bright), np.ones((7, 7), bool))
     assert np.array_equal(np.isfinite(found), lit)
     assert found[lit] == pytest.approx((smooth - slow)[lit], abs=1e-5)
+
+
+def test_low_peaks_that_rival_each_other_accuse_nothing() -> None:
+    """A clear match beside the curve does; two maxima of one smooth shading do not."""
+    clear = TextureTile(here=0.1, best=0.6, best_shift=-40, rival=0.3)
+    shading = TextureTile(here=-0.26, best=0.35, best_shift=24, rival=0.30)
+    assert (clear.lies_elsewhere, shading.lies_elsewhere) == (True, False)
+    assert not clear.agrees
+    assert not shading.agrees

@@ -42,6 +42,10 @@ TEXTURE_CLEAR = 0.12
 CORRELATION = "correlation"
 """Key of the figure: of the texture, at the matched points."""
 
+PEAK_WIDTH_PX = 10
+"""Half of it; a peak stands for a match only if no other shift comes as near to it as the matched
+points may: the slow shading of a small round body gives several low ones."""
+
 TEXTURE_MIN_SIGNAL = 4.0
 FINE_FILTER_PIXELS = 4 * np.pi
 """Pixels that a Gaussian of 1 px averages over."""
@@ -88,11 +92,15 @@ def check_texture(
 
 @dataclass(frozen=True, slots=True)
 class TextureTile:
-    """Correlation of the textures in one part of the image: at the matched points, and at best."""
+    """Correlation of the textures in one part of the image: at the matched points, and at best.
+
+    `rival` is the largest at a shift clearly apart from the best.
+    """
 
     here: float
     best: float
     best_shift: int
+    rival: float = 0.0
 
     @property
     def agrees(self) -> bool:
@@ -102,7 +110,8 @@ class TextureTile:
     @property
     def lies_elsewhere(self) -> bool:
         """Tell whether the textures agree clearly better beside the epipolar curves."""
-        return self.best >= TEXTURE_MIN_PEAK and self.best - self.here > TEXTURE_CLEAR
+        second = max(self.here, self.rival)
+        return self.best >= TEXTURE_MIN_PEAK and self.best - second > TEXTURE_CLEAR
 
 
 def texture_signal(phases: PhaseMap, /) -> float:
@@ -162,13 +171,14 @@ def _correlated(
     _correlate.profile(
         values[part], pixels[part], texture, normal, shifts, least // ROUGH_STEP, rough
     )
-    rough[near] = np.inf
-    looked_at = shifts[np.argsort(-rough)[: near.sum() + N_PEAKS]]
+    looked_at = shifts[np.argsort(-np.where(near, np.inf, rough))[: near.sum() + N_PEAKS]]
     profile = np.empty(len(looked_at))
     _correlate.profile(values, pixels, texture, normal, looked_at, least, profile)
     peak = int(np.argmax(profile))
     here = float(profile[np.abs(looked_at) <= TEXTURE_MAX_SHIFT_PX].max())
-    return TextureTile(here, float(profile[peak]), int(looked_at[peak]))
+    apart = np.abs(shifts - looked_at[peak]) > PEAK_WIDTH_PX
+    rival = float(rough[apart].max()) if apart.any() else 0.0
+    return TextureTile(here, float(profile[peak]), int(looked_at[peak]), rival)
 
 
 def _texture(phases: PhaseMap) -> NDArray[np.float32]:

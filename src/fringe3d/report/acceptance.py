@@ -23,7 +23,7 @@ N_COLUMNS = 3
 PANEL_INCHES = 4.6
 HELD_BY_SCALE = 99.7
 MAP = "RdBu_r"
-MOST_CELLS, POINTS_IN_CELL = 160, 3
+MOST_CELLS, POINTS_IN_CELL = 400, 3
 NAMES = {
     "form": "probing error, form",
     "form 95 %": "95 % form",
@@ -296,7 +296,7 @@ def _draw_map(axis: Axes, position: Position, probed: Probed, limit_um: float) -
         else fit.surface.normal
     )
     flat = seen_along(points, normal)
-    picture, extent = means_on_grid(flat, 1000 * fit.distances_mm, _n_cells(len(flat)))
+    picture, extent = means_on_grid(flat, 1000 * fit.distances_mm, n_cells(len(flat)))
     image = axis.imshow(picture, cmap=MAP, vmin=-limit_um, vmax=limit_um, extent=extent,
                         interpolation="nearest")  # fmt: skip
     axis.plot(*flat[~fit.is_used].T, "x", color="black", markersize=3, markeredgewidth=0.6)
@@ -313,7 +313,8 @@ def _draw_map(axis: Axes, position: Position, probed: Probed, limit_um: float) -
     return image
 
 
-def _n_cells(n_points: int) -> int:
+def n_cells(n_points: int, /) -> int:
+    """Return how many cells a map of points has along its longer side: some points in each."""
     return int(np.clip(np.sqrt(n_points / POINTS_IN_CELL), 8, MOST_CELLS))
 
 

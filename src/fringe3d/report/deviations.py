@@ -15,14 +15,13 @@ from numpy.typing import NDArray
 from fringe3d.evaluate import Deviations
 from fringe3d.io.atomic import new_folder
 from fringe3d.io.results import write_coloured_ply
-from fringe3d.report.acceptance import means_on_grid, seen_along
+from fringe3d.report.acceptance import means_on_grid, n_cells, seen_along
 
 Floats = NDArray[np.float64]
 
 MAP = "RdBu_r"
 ALONE = (150, 150, 150)
 HELD_BY_SCALE = 0.98
-BINS = 700
 BARS = 81
 
 
@@ -129,7 +128,9 @@ def draw_deviations(
     """
     known = np.isfinite(deviations.signed_mm)
     flat = seen_along(points_mm, points_mm.mean(axis=0) - viewpoint_mm) * [1, -1]
-    picture, extent = means_on_grid(flat[known], 1000 * deviations.signed_mm[known], BINS)
+    picture, extent = means_on_grid(
+        flat[known], 1000 * deviations.signed_mm[known], n_cells(int(known.sum()))
+    )
     figure = Figure(figsize=(14.5, 7.2), dpi=100, layout="constrained")
     figure.suptitle("\n".join(title.split("; ")), fontsize=11, x=0.01, ha="left")
     left, right = figure.subplots(1, 2, width_ratios=[2.2, 1])
