@@ -125,6 +125,8 @@ EDGE_LIBRARIES = {
     "tomlkit": {"io"},
     "pydantic": {"io"},
     "matplotlib": {"report"},
+    "jinja2": {"report"},
+    "markupsafe": {"report"},
     "rich": {"cli"},
     "cyclopts": {"cli"},
     "numba": {"kernels", "geometry", "decode", "correspond", "health", "simulate"},

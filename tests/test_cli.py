@@ -33,7 +33,7 @@ def test_measure_leaves_what_the_docs_list(
 ) -> None:
     out = tmp_path / "result"
     main(["measure", str(scan_folder), "--out", str(out)])
-    assert {"points.npz", "cloud.ply", "overview.png", "measure.toml"} == {
+    assert {"points.npz", "cloud.ply", "overview.png", "measure.toml", "rig.toml"} == {
         path.name for path in out.iterdir()
     }
     line = capsys.readouterr().out

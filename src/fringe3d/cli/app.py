@@ -18,6 +18,7 @@ from fringe3d.cli import (
     exporting,
     planning,
     self_calibrating,
+    showing,
     simulated,
 )
 from fringe3d.cli.console import Reporter, say
@@ -32,6 +33,7 @@ __all__ = [
     "exporting",
     "planning",
     "self_calibrating",
+    "showing",
     "simulated",
 ]
 

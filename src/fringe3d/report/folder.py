@@ -61,8 +61,8 @@ def write_result(
     """Write everything that a measurement leaves, completely or not at all.
 
     ``points.npz`` and ``cloud.ply`` (``phase.npz`` without a rig), ``overview.png`` and
-    ``measure.toml``, which repeats the request if there is one; ``rig.toml`` with the poses that
-    the scan itself showed, if it was asked.
+    ``measure.toml``, which repeats the request if there is one; ``rig.toml``, with which it was
+    measured: with the poses that the scan itself showed, if it was asked.
     """
     with new_folder(out, overwrite=overwrite) as folder:
         if result.points is None:
@@ -74,8 +74,8 @@ def write_result(
                       comment=f"fringe3d {__version__}, mm")  # fmt: skip
         write_overview(folder / "overview.png", result, title=_title(scan, result))
         record = measure_record(scan, options, result, request=request, own_poses=own_poses)
-        if own_poses is not None:
-            (folder / "rig.toml").write_text(rig_text(own_poses.rig), encoding="utf-8")
+        if scan.rig is not None:
+            (folder / "rig.toml").write_text(rig_text(scan.rig), encoding="utf-8")
         (folder / "measure.toml").write_text(toml_document(record), encoding="utf-8")
 
 

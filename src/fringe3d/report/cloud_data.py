@@ -1,0 +1,114 @@
+"""A cloud packed for the small 3D view of a page."""
+
+from __future__ import annotations
+
+import base64
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from matplotlib import colormaps
+from numpy.typing import NDArray
+
+from fringe3d.model import Device
+from fringe3d.report.maps import robust_limits
+
+LEVELS = 2**16 - 1
+SEED = 0
+
+CERTAIN = 0.99
+"""Where all fringe orders are at least so probable there is nothing to show."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Channel:
+    """What points can be coloured by.
+
+    Parameters
+    ----------
+    name : str
+    unit : str
+    values : (row, col) float
+    colours : str; name of a colour map
+    """
+
+    name: str
+    unit: str
+    values: NDArray[Any]
+    colours: str
+
+
+def channels_of(maps: dict[str, NDArray[Any]], /) -> list[Channel]:
+    """Return what the points of a result can be coloured by; a constant map tells nothing.
+
+    Parameters
+    ----------
+    maps : dict; those of ``points.npz``
+    """
+    found = [
+        Channel("depth z", "mm", maps["points_mm"][..., 2], "turbo_r"),
+        Channel("brightness", "DN", maps["offset"], "gray"),
+        Channel("sigma", "um", 1000 * maps["sigma_mm"], "viridis"),
+    ]
+    probability = maps["order_probability"]
+    if np.nanmin(probability, initial=1.0) < CERTAIN:
+        found.append(Channel("order probability", "", probability, "plasma"))
+    return found
+
+
+def thinned(valid: NDArray[np.bool_], most: int, /) -> NDArray[np.intp]:
+    """Return the places (n,) of at most so many of the valid pixels, evenly at random."""
+    places = np.flatnonzero(valid)
+    if len(places) <= most:
+        return places
+    return np.sort(np.random.default_rng(SEED).choice(places, most, replace=False))
+
+
+def packed_cloud(
+    maps: dict[str, NDArray[Any]], camera: Device | None, /, *, most: int
+) -> dict[str, Any]:
+    """Return what the script ``cloud_view.js`` shows, ready for JSON.
+
+    Positions are 16-bit parts of the cloud's box, colours 8-bit parts of their limits.
+
+    Parameters
+    ----------
+    maps : dict; those of ``points.npz``
+    camera : Device or None; from which side one looks at first; along z if not known
+    most : int; points
+    """
+    valid = maps["rejection"] == 0
+    places = thinned(valid, most)
+    points = maps["points_mm"].reshape(-1, 3)[places]
+    low, high = points.min(axis=0), points.max(axis=0)
+    size = np.maximum(high - low, 1e-6)
+    parts = np.round((points - low) / size * LEVELS).astype("<u2")
+    rotation = np.eye(3) if camera is None else camera.device_from_world.rotation
+    return {
+        "count": len(places),
+        "of": int(valid.sum()),
+        "low_mm": low.tolist(),
+        "size_mm": size.tolist(),
+        "rotation": rotation.tolist(),
+        "positions": _text(parts),
+        "channels": [_packed(channel, places) for channel in channels_of(maps)],
+    }
+
+
+def _packed(channel: Channel, places: NDArray[np.intp]) -> dict[str, Any]:
+    values = np.asarray(channel.values, np.float64).ravel()[places]
+    low, high = robust_limits(values)
+    level = np.nan_to_num(np.clip((values - low) / (high - low), 0, 1))
+    table = (colormaps[channel.colours](np.arange(256))[:, :3] * 255).round().astype(np.uint8)
+    return {
+        "name": channel.name,
+        "unit": channel.unit,
+        "low": low,
+        "high": high,
+        "values": _text((255 * level).round().astype(np.uint8)),
+        "colours": _text(table),
+    }
+
+
+def _text(array: NDArray[Any]) -> str:
+    return base64.b64encode(np.ascontiguousarray(array).tobytes()).decode("ascii")
