@@ -23,6 +23,7 @@ from fringe3d.model import (
 
 Method = Literal["auto", "m0", "m1", "m2", "m3", "m4", "m5", "m6", "projector"]
 Direction = Literal["auto", "x", "y"]
+Filter = Literal["none", "light", "medium", "strong"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -48,6 +49,8 @@ class MeasureOptions:
     min_modulation_dn : float or None, DN
     min_order_probability : float or None, 0 to 1; fringe orders that are less probable are
         AMBIGUOUS; 0 takes the best that fits. None is 0.9, and 0.99 if strict
+    filter : "none", "light", "medium" or "strong"; less noise of the phases, see
+        `fringe3d.decode.filtering`
     """
 
     method: Method = "auto"
@@ -60,6 +63,7 @@ class MeasureOptions:
     drop_edges: bool = False
     min_modulation_dn: float | None = None
     min_order_probability: float | None = None
+    filter: Filter = "none"
 
 
 def keep_images(stack: ImageStack, options: MeasureOptions, /) -> ImageStack:

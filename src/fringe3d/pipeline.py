@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fringe3d.correspond import twin_share
-from fringe3d.decode import CameraPhases, decode, decode_apart
+from fringe3d.decode import CameraPhases, decode, decode_apart, filtered_camera
 from fringe3d.devices_moved import check_moved
 from fringe3d.errors import CalibrationError, EmptyResultError, Fringe3DError, MethodError
 from fringe3d.health import (
@@ -154,6 +154,10 @@ def measure(
     with clock("decoding"):
         phases = tuple(_decode(stack, scan.rig, choice.method, options) for stack in stacks)
         findings = check_files(stacks) + check_phases(phases)
+        phases = tuple(
+            filtered_camera(camera, options.filter, is_first=i == 0)
+            for i, camera in enumerate(phases)
+        )
         if scan.rig is not None and choice.method != "projector":
             phases = best_direction_first(phases, *_devices(scan.rig, stacks, choice.method))
     main = phases[0].directions[0].main

@@ -2,6 +2,7 @@
 
 from fringe3d.decode.apart import decode_apart
 from fringe3d.decode.camera import CameraPhases, DirectionPhases, decode
+from fringe3d.decode.filtering import filtered_camera
 from fringe3d.decode.order import has_mirrored_neighbours
 from fringe3d.decode.phase import wrapped_phase
 from fringe3d.kernels import tell_of_compiling
@@ -11,6 +12,7 @@ __all__ = [
     "DirectionPhases",
     "decode",
     "decode_apart",
+    "filtered_camera",
     "has_mirrored_neighbours",
     "wrapped_phase",
 ]

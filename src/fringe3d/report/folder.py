@@ -112,7 +112,7 @@ def _camera_center(scan: Scan, result: Measurement) -> NDArray[np.float64]:
     """Return the centre of projection of C1 in the world frame, (3,) mm."""
     assert scan.rig is not None
     camera = next(c for c in scan.rig.cameras if c.name == result.main.device_name)
-    return camera.device_from_world.inverse().translation
+    return camera.center_world
 
 
 def phase_maps(result: Measurement, /) -> dict[str, NDArray[Any]]:
