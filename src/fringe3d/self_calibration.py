@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -158,18 +158,22 @@ def self_calibrate(
     fitted, found = None, rig
     if not is_numbered:
         found = _with_orders(recordings, rig, options, step)
-    for number in range(1 if all(r.is_free for r in recordings) else ROUNDS):
+    n_rounds = 1 if all(r.is_free for r in recordings) else ROUNDS
+    for number in range(n_rounds):
         step(work, len(scans) + number, n_steps)
         points = [_homologous(r, found, options) for r in recordings]
         near = fitted.devices if fitted is not None else _devices(found, recordings)
-        fitted = fit_poses(points, before, near=near)
+        is_last = number == n_rounds - 1
+        fitted = fit_poses(points, before, near=near, known=rig.covariance if is_last else None)
         found = _with(rig, fitted.devices)
-        if not is_numbered and number < ROUNDS - 1:
+        if not is_numbered and not is_last:
             found = _with_orders(recordings, found, options)
     step(work, n_steps, n_steps)
     assert fitted is not None
     factor = 1.0
-    if length is not None:
+    if length is None:
+        found = replace(found, covariance=fitted.joint)
+    else:
         factor = length.length_mm / distance_of(length, points[0], fitted.devices)
         found = _with(rig, fitted.scaled(factor))
     return SelfCalibrated(

@@ -14,6 +14,7 @@ from fringe3d.calibrate._projecting import image_and_slopes, skew
 from fringe3d.calibrate.homologous import Homologous
 from fringe3d.geometry import project, rays
 from fringe3d.model import Device, RigidTransform
+from fringe3d.model.covariance import LENS_NUMBERS, POSE_NUMBERS
 from fringe3d.patterns import across
 
 Floats = NDArray[np.float64]
@@ -89,6 +90,26 @@ def with_pose_change(device: Device, change: Floats, /) -> Device:
     return replace(device, device_from_world=moved)
 
 
+def with_number(device: Device, number: str, by: float, /) -> Device:
+    """Return a device with one of the `DEVICE_NUMBERS` changed."""
+    if number in POSE_NUMBERS:
+        change = np.zeros(6)
+        change[POSE_NUMBERS.index(number)] = by
+        return with_pose_change(device, change)
+    place = LENS_NUMBERS.index(number)
+    lens = np.zeros(12)
+    lens[place] = by
+    distortion = device.distortion.copy()
+    n = min(len(distortion), 8)
+    distortion[:n] += lens[4 : 4 + n]
+    return replace(
+        device,
+        focal_px=device.focal_px + lens[:2],
+        center_px=device.center_px + lens[2:4],
+        distortion=distortion,
+    )
+
+
 def equations(view: Viewed, devices: Sequence[Device], depths: Floats, /) -> Equations:
     """Return the equations of one scan.
 
@@ -153,8 +174,20 @@ def _image(
     return pixels, (by_point @ along[..., None])[..., 0], by_pose
 
 
-def normal_equations(found: Equations, noise: float, /) -> Normal:
-    """Return the normal equations of the poses after the depths are eliminated, robust."""
+@dataclass(frozen=True, slots=True, eq=False)
+class Reduced:
+    """Equations without the depths, weighted: residual (n, m), its slopes by the poses (n, m, p);
+    the weights (n,), the squared distance in sigmas (n,), and the degrees of freedom (n,)."""
+
+    residual: Floats
+    by_pose: Floats
+    root: Floats
+    squares: Floats
+    freedom: NDArray[np.int64]
+
+
+def reduced(found: Equations, noise: float, /) -> Reduced:
+    """Return the equations after the depths are eliminated, robust."""
     a, e = found.by_depth, found.residual
     power = np.maximum((a * a).sum(axis=1), 1e-300)
     ahead = (a * e).sum(axis=1) / power
@@ -163,9 +196,15 @@ def normal_equations(found: Equations, noise: float, /) -> Normal:
     freedom = np.maximum((a != 0).sum(axis=1) - 1, 0)
     squares = (left * left).sum(axis=1) / noise**2
     weight = 1 / (1 + squares / (FAR**2 * np.maximum(freedom, 1)))
-    root = np.sqrt(weight)[:, None] / noise
-    flat = (own * root[..., None]).reshape(-1, own.shape[2])
-    return Normal(flat.T @ flat, flat.T @ (left * root).ravel(), squares, freedom)
+    root = np.sqrt(weight) / noise
+    return Reduced(left * root[:, None], own * root[:, None, None], root, squares, freedom)
+
+
+def normal_equations(found: Equations, noise: float, /) -> Normal:
+    """Return the normal equations of the poses after the depths are eliminated, robust."""
+    parts = reduced(found, noise)
+    flat = parts.by_pose.reshape(-1, parts.by_pose.shape[2])
+    return Normal(flat.T @ flat, flat.T @ parts.residual.ravel(), parts.squares, parts.freedom)
 
 
 def loss_of(normals: Sequence[Normal], /) -> float:

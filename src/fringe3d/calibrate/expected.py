@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fringe3d.calibrate._pose_problem import State, left_over, problem_of_points
-from fringe3d.calibrate._poses import viewed, with_pose_change
+from fringe3d.calibrate._poses import viewed, with_number
 from fringe3d.calibrate.homologous import Homologous
 from fringe3d.model import Device, RigCovariance
-from fringe3d.model.covariance import LENS_NUMBERS, POSE_NUMBERS
 
 Floats = NDArray[np.float64]
 
@@ -46,7 +44,7 @@ def expected_contradiction(
     here, sigma = left_over(scan, before, before.depths[0])
     columns = []
     for name, step in zip(covariance.names, np.sqrt(np.diagonal(covariance.matrix)), strict=True):
-        moved = [changed(d, name.rpartition(".")[2], step)
+        moved = [with_number(d, name.rpartition(".")[2], step)
                  if name.rpartition(".")[0] == d.name else d for d in devices]  # fmt: skip
         there, _ = left_over(
             viewed(scan.points, moved[0]), State(tuple(moved), before.depths), before.depths[0]
@@ -59,23 +57,3 @@ def expected_contradiction(
     total = np.nansum((variance + noise[:, None]) * sigma**2, axis=1)
     many = n_equations > 1
     return float(np.median(np.sqrt(total[many] / n_equations[many])))
-
-
-def changed(device: Device, number: str, by: float, /) -> Device:
-    """Return a device with one of the `DEVICE_NUMBERS` changed."""
-    if number in POSE_NUMBERS:
-        change = np.zeros(6)
-        change[POSE_NUMBERS.index(number)] = by
-        return with_pose_change(device, change)
-    place = LENS_NUMBERS.index(number)
-    lens = np.zeros(12)
-    lens[place] = by
-    distortion = device.distortion.copy()
-    n = min(len(distortion), 8)
-    distortion[:n] += lens[4 : 4 + n]
-    return replace(
-        device,
-        focal_px=device.focal_px + lens[:2],
-        center_px=device.center_px + lens[2:4],
-        distortion=distortion,
-    )

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fringe3d.calibrate._pose_covariance import joint_covariance
 from fringe3d.calibrate._pose_problem import (
     PoseProblem,
     State,
@@ -66,6 +67,9 @@ class FittedPoses:
     devices : tuple of Device; the first, C1, as it was
     changes : tuple of PoseChange
     covariance : RigCovariance; of the poses, lenses taken as exact
+    joint : RigCovariance or None
+        Of poses and lenses together, where that of the former calibration is known: new poses undo
+        much of what the lenses do to the points.
     n_numbers, n_determined : int
         Numbers of the poses without the scale, and how many combinations of them the data hold.
     weakest : tuple of (str, float)
@@ -85,6 +89,7 @@ class FittedPoses:
     devices: tuple[Device, ...]
     changes: tuple[PoseChange, ...]
     covariance: RigCovariance
+    joint: RigCovariance | None
     n_numbers: int
     n_determined: int
     weakest: tuple[tuple[str, float], ...]
@@ -112,6 +117,7 @@ def fit_poses(
     /,
     *,
     near: Sequence[Device] | None = None,
+    known: RigCovariance | None = None,
 ) -> FittedPoses:
     """Find the poses of further cameras and projector that homologous points agree with.
 
@@ -121,6 +127,7 @@ def fit_poses(
     devices : sequence of Device, two at least; C1, then further cameras, then the projector, as
         they stood before
     near : sequence of Device or None; the same where they are likely to stand now, to begin with
+    known : RigCovariance or None; of the calibration of `devices`
 
     Returns
     -------
@@ -157,7 +164,9 @@ def fit_poses(
         after = problem.solve(after, noise, crowding)
         noise = noise_of(problem.normals(after, noise), noise)
         crowding = crowding_of(problem, after, noise)
-    return _result(problem, before, problem.solve(after, noise, crowding), noise, crowding)
+    after = problem.solve(after, noise, crowding)
+    joint = joint_covariance(problem, after, noise, crowding, known) if known is not None else None
+    return replace(_result(problem, before, after, noise, crowding), joint=joint)
 
 
 def located(points: Homologous, devices: Sequence[Device], /) -> Floats:
@@ -192,6 +201,7 @@ def _result(
         devices=devices,
         changes=changes,
         covariance=known,
+        joint=None,
         n_numbers=len(told),
         n_determined=int((1 / (1 + strength) < HELD_PART**2).sum()),
         weakest=tuple((names[i], float(shares[i])) for i in order),
