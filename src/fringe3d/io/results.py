@@ -25,8 +25,9 @@ def write_ply(
     *,
     comment: str = "",
     viewpoint_mm: NDArray[np.float64] | None = None,
+    **more: NDArray[np.floating[Any]],
 ) -> None:
-    """Write a cloud as binary PLY: position in mm, grey as colour, sigma along the ray.
+    """Write a cloud as binary PLY: position in mm, grey as colour, sigma along the ray, and more.
 
     Coordinates are single precision: 0.03 um at 500 mm. A comment holds the viewpoint, the centre
     of C1 from which the rays start.
@@ -35,7 +36,7 @@ def write_ply(
     if viewpoint_mm is not None:
         comments.append(" ".join([VIEWPOINT, *(f"{value:.9g}" for value in viewpoint_mm)]))
     colours = np.repeat(cloud.grey[:, None], 3, axis=1)
-    _write_vertices(path, cloud.points_mm, colours, {"sigma_mm": cloud.sigma_mm}, comments)
+    _write_vertices(path, cloud.points_mm, colours, {"sigma_mm": cloud.sigma_mm, **more}, comments)
 
 
 def write_coloured_ply(

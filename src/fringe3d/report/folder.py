@@ -22,10 +22,12 @@ from fringe3d.model import NO_ORDER, Scan
 from fringe3d.model.rejection import count_by_reason
 from fringe3d.pipeline import Measurement, MeasureOptions, point_cloud
 from fringe3d.report.overview import write_overview
+from fringe3d.report.point_sigma import calibration_sigma_mm
 from fringe3d.report.self_calibration import self_calibration_record
 from fringe3d.self_calibration import SelfCalibrated
 
 TITLE_COLUMNS = 175
+CALIBRATION_SIGMA = "sigma_calibration_mm"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -69,9 +71,12 @@ def write_result(
             write_points(folder / "phase.npz", phase_maps(result))
         else:
             center = _camera_center(scan, result)
-            write_points(folder / "points.npz", point_maps(result), camera_center_mm=center)
+            doubt = calibration_sigma_mm(scan, result)
+            more = {} if doubt is None else {CALIBRATION_SIGMA: doubt}
+            write_points(folder / "points.npz", point_maps(result), camera_center_mm=center, **more)
+            columns = {name: sigma[result.points.is_valid] for name, sigma in more.items()}
             write_ply(folder / "cloud.ply", point_cloud(result), viewpoint_mm=center,
-                      comment=f"fringe3d {__version__}, mm")  # fmt: skip
+                      comment=f"fringe3d {__version__}, mm", **columns)  # fmt: skip
         write_overview(folder / "overview.png", result, title=_title(scan, result))
         record = measure_record(scan, options, result, request=request, own_poses=own_poses)
         if scan.rig is not None:
