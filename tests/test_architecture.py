@@ -62,6 +62,8 @@ ALLOWED: dict[str, set[str]] = {
         "segments",
         "triangulate",
     },
+    # It looks at the images, then measures as often as the question needs.
+    "diagnosis": NOUNS | {"health", "options", "pipeline"},
     # It keeps what depends on the rig in a file.
     "session": NOUNS | {"correspond", "io", "options", "pipeline"},
     # What recordings tell of a rig: it decodes and solves as a measurement does.
@@ -104,6 +106,7 @@ ALLOWED: dict[str, set[str]] = {
         "board_scans",
         "calibrate",
         "design",
+        "diagnosis",
         "evaluate",
         "geometry",
         "patterns",

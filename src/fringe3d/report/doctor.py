@@ -1,0 +1,84 @@
+"""A picture of what is wrong with a scan."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fringe3d.health import Fault, lit_map
+from fringe3d.model import Fringe, GrayBit, ImageStack, Pattern, Scan, Uniform
+
+N_COLUMNS, WIDTH_PX = 8, 240
+
+SOUND = "nothing wrong was found"
+
+
+def write_doctor_picture(path: Path, scan: Scan, faults: Sequence[Fault], /, *, title: str) -> None:
+    """Draw the images of each camera with what the plan says of them; those concerned are framed.
+
+    Saturated pixels are red, what the projector does not light is blue.
+
+    Parameters
+    ----------
+    path : Path; a PNG file
+    scan : Scan
+    faults : sequence of Fault
+    title : str
+    """
+    from matplotlib.figure import Figure
+
+    rows = [-(-stack.plan.n_images // N_COLUMNS) for stack in scan.stacks]
+    figure = Figure(figsize=(2 * N_COLUMNS, 1.9 * sum(rows) + 1 + 0.3 * len(faults)), dpi=80)
+    panels = figure.subplots(sum(rows), N_COLUMNS, squeeze=False)
+    for panel in panels.flat:
+        panel.axis("off")
+    first = 0
+    for stack, n_rows in zip(scan.stacks, rows, strict=True):
+        concerned = {i for f in faults if f.camera in ("", stack.device_name) for i in f.images}
+        _draw(panels[first : first + n_rows].ravel(), stack, concerned)
+        first += n_rows
+    said = dict.fromkeys(f"{fault.kind.value}: {fault.cure}" for fault in faults)
+    figure.suptitle("\n".join([title, *said] if said else [title, SOUND]), fontsize=10)
+    figure.tight_layout(rect=(0, 0, 1, 0.995))
+    aside = path.with_name(f".{path.name}.partial")
+    figure.savefig(aside, format="png")
+    aside.replace(path)
+
+
+def _draw(panels: Any, stack: ImageStack, concerned: set[int]) -> None:
+    step = max(1, stack.shape[1] // WIDTH_PX)
+    unlit = ~lit_map(stack).lit[::step, ::step]
+    top = float(np.percentile(stack.images[:, ::step, ::step], 99.8)) or 1.0
+    for index, pattern in enumerate(stack.plan.patterns):
+        image = stack.images[index, ::step, ::step]
+        grey = np.clip(image / top, 0, 1)
+        colour = np.repeat(grey[..., None], 3, axis=2)
+        colour[unlit] = colour[unlit] * 0.6 + np.array([0.0, 0.0, 0.25])
+        colour[image >= stack.saturation_dn] = (1.0, 0.1, 0.1)
+        panel = panels[index]
+        panel.imshow(colour, interpolation="nearest")
+        panel.set_title(f"{stack.device_name} {index}: {_words(pattern)}", fontsize=7,
+                        color="crimson" if index in concerned else "black")  # fmt: skip
+        if index in concerned:
+            panel.add_patch(_frame(colour.shape))
+
+
+def _frame(shape: tuple[int, ...]) -> Any:
+    from matplotlib.patches import Rectangle
+
+    return Rectangle((-0.5, -0.5), shape[1], shape[0], fill=False, edgecolor="crimson", lw=4)
+
+
+def _words(pattern: Pattern) -> str:
+    match pattern:
+        case Fringe():
+            return f"{pattern.period_px:.4g} px, {np.degrees(pattern.shift) % 360:.0f} deg"
+        case GrayBit():
+            return f"bit {pattern.bit}{' inverted' if pattern.inverted else ''}"
+        case Uniform():
+            return "light" if pattern.level == 1 else "dark"
+        case _:
+            return "unused"
