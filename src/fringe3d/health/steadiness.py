@@ -14,6 +14,10 @@ from fringe3d.health.sampling import Fringes, LitMap, fitted, fringes_of
 from fringe3d.model import ImageStack
 from fringe3d.model.plan import FringeSet
 
+N_BINS, LEAST_IN_BIN, SEEN_PART = 16, 20, 0.36
+"""Of other brightness the mean over all phases shows about so much: 0.37 where one image of four is
+brighter, at full contrast."""
+
 N_ROUNDS = 6
 """Each finds two thirds of what is left, for A holds a part of the other brightness, too."""
 
@@ -82,9 +86,25 @@ def steps_of(stack: ImageStack, lit: LitMap, fringe_set: FringeSet, /) -> Steps 
         actual = actual + later
         fit = fringes_of(np.asarray(grey / gains[:, None], np.float32), actual)
     flicker = float(np.abs(gains / gains.mean() - 1).max())
+    flicker = min(flicker, _mean_excess(fitted(stack, fringe_set, rows, cols)) / SEEN_PART)
     has_rest = np.isfinite(harmonic)
     error = float(np.sqrt(((actual - shifts) ** 2).mean())) if has_rest else float("nan")
     return Steps(flicker, error, harmonic)
+
+
+def _mean_excess(fit: Fringes) -> float:
+    """Return by how much the mean of an image over evenly weighted phases exceeds A, parts of A.
+
+    It shows a part of other brightness only, but no contrast that goes with the phase, as gamma
+    or light between surfaces may make it; 0 where not all phases are seen.
+    """
+    bins = ((fit.phase + np.pi) * (N_BINS / (2 * np.pi))).astype(np.intp) % N_BINS
+    count = np.bincount(bins, minlength=N_BINS)
+    if count.min() < LEAST_IN_BIN:
+        return 0.0
+    weight = 1 / count[bins]
+    excess = ((fit.grey - fit.offset) / fit.modulation * weight).sum(axis=1)
+    return float(np.abs(excess / (fit.offset / fit.modulation * weight).sum()).max())
 
 
 def _shared(fit: Fringes, shifts: NDArray[np.float64]) -> NDArray[np.float64]:
