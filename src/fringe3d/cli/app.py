@@ -108,8 +108,8 @@ def measure(
         Reject fringe orders that are less probable, 0 to 1: 0.9 by default, 0.99 if strict; 0 takes
         the best that fits.
     filter_
-        Less noise: about a third, a quarter or a sixth of it is left. Edges stay sharp, balls keep
-        their size, sigma tells what is left; detail of fewer pixels than 3, 5 or 8 is smoothed.
+        Less noise: about a third, a quarter or a sixth of it is left. Edges stay sharp and balls
+        keep their size; detail as fine as 3, 5 or 8 pixels is smoothed, and sigma does not tell.
     previous
         Result of the frame before, of the same scene and rig: m6 prefers what goes on from it where
         the images leave several solutions.
