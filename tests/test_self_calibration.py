@@ -6,6 +6,7 @@ import json
 import math
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -374,6 +375,26 @@ def test_four_images_without_a_code_find_poses_and_their_orders_again(
     assert right.mean() > 0.99
     both_see = truth["lit"] & truth["in_volume"] & truth["seen_by_c2"]
     assert right.sum() > 0.86 * both_see.sum()
+
+
+@pytest.mark.parametrize(("certainty", "words"), [
+    (None, "one place of the devices, found none. The images have no code"),
+    (0.6, r"found several \(the best is 60% likely\). The images have no code"),
+])  # fmt: skip
+def test_orders_that_fit_no_place_or_several_are_refused(
+    scans: Path, monkeypatch: pytest.MonkeyPatch, certainty: float | None, words: str
+) -> None:
+    """What the search for orders says is made up; that it is heard is tested."""
+    from fringe3d import self_calibration
+    from fringe3d.io.recording import read_scan
+
+    scan = read_scan(scans / "plane")
+    rig = read_rig(scans / "moved.toml")
+    found = None if certainty is None else SimpleNamespace(certainty=certainty, rig=rig)
+    monkeypatch.setattr(self_calibration, "fit_turned", lambda *_, **__: found)
+    options = MeasureOptions(method="m6", direction="x", gray_bits=0)
+    with pytest.raises(MethodError, match=words):
+        self_calibrate([scan], rig, options)
 
 
 def test_measure_finds_its_own_poses_and_leaves_them_with_the_result(
