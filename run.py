@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Set up fringe3d in a virtual environment beside this file, and run one of two jobs.
 
-python3 run.py demo    measure a simulated scan; look at demo/result/overview.png
+python3 run.py demo    measure a simulated scan; open demo/result/report.html
 python3 run.py test    check style and types, and pass all tests
 
 Needs Python 3.11 or newer and nothing else.
@@ -25,7 +25,7 @@ def main(arguments: list[str]) -> int:
         return 2
     match arguments:
         case ["demo"]:
-            set_up(extras="[simulate]")
+            set_up(extras="[simulate,view]")
             return call("-m", "fringe3d", "demo", "--out", "demo", "--overwrite")
         case ["test", *options]:
             set_up(extras="[dev]")

@@ -17,8 +17,8 @@ FLAGS = (
     "--no-sandbox", "--disable-quic", "--no-first-run", "--disable-background-networking",
     "--disable-component-update", "--disable-sync", "--enable-unsafe-swiftshader",
 )  # fmt: skip
-DRIVER_REMARKS = "GPU stall due to ReadPixels"
-"""What the software renderer says of being read; it is no fault of the page."""
+OTHERS_REMARKS = ("GPU stall due to ReadPixels", "THREE.Clock: This module has been deprecated")
+"""What the software renderer says of being read, and three.js of viser: no faults of the page."""
 
 
 @contextmanager
@@ -40,7 +40,9 @@ def watched_page(chromium: Any) -> tuple[Any, list[str]]:
     said: list[str] = []
 
     def note(message: Any) -> None:
-        if message.type in ("error", "warning") and DRIVER_REMARKS not in message.text:
+        if message.type in ("error", "warning") and not any(
+            remark in message.text for remark in OTHERS_REMARKS
+        ):
             said.append(message.text)
 
     page.on("console", note)

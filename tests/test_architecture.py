@@ -100,6 +100,7 @@ ALLOWED: dict[str, set[str]] = {
         "simulate",
         "__init__",
     },
+    "view": NOUNS | {"geometry", "io", "options", "patterns", "report"},
     "cli": NOUNS
     | {
         "correspond",
@@ -118,6 +119,7 @@ ALLOWED: dict[str, set[str]] = {
         "self_calibration",
         "simulate",
         "health",
+        "view",
         "__init__",
     },
 }
@@ -127,7 +129,8 @@ EDGE_LIBRARIES = {
     "tifffile": {"io"},
     "tomlkit": {"io"},
     "pydantic": {"io"},
-    "matplotlib": {"report"},
+    "matplotlib": {"report", "view"},
+    "viser": {"view"},
     "jinja2": {"report"},
     "markupsafe": {"report"},
     "rich": {"cli"},

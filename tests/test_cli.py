@@ -97,6 +97,7 @@ def test_demo_is_close_to_the_truth(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert 7 < median_um < 10
     assert wrong < 0.6
     assert (tmp_path / "demo/result/overview.png").is_file()
+    assert (tmp_path / "demo/result/report.html").is_file()
 
 
 def test_measure_finds_the_images_below_or_beside_the_named_folder(

@@ -10,8 +10,10 @@ from fringe3d.cli.console import Reporter
 from fringe3d.cli.simulator import SimulateOptions, run_simulation
 from fringe3d.io.atomic import new_folder
 from fringe3d.io.recording import read_scan
+from fringe3d.io.stored import read_result
 from fringe3d.pipeline import MeasureOptions, measure
 from fringe3d.report.folder import summary, write_result
+from fringe3d.report.measurement import report_html
 
 SEED = 7
 WRONG_MM = 0.5
@@ -35,6 +37,8 @@ def run_demo(out: Path, *, overwrite: bool, reporter: Reporter) -> str:
         result = measure(recording, options, stage=reporter.stage)
         reporter.stage("writing")
         write_result(folder / "result", recording, options, result)
+        page = report_html(read_result(folder / "result"))
+        (folder / "result" / "report.html").write_text(page, encoding="utf-8")
         with np.load(folder / "scan" / "truth.npz") as stored:
             reference = stored["lit"] & stored["in_volume"] & stored["seen_by_c2"]
             true_points = stored["points_mm"]
@@ -50,5 +54,5 @@ def run_demo(out: Path, *, overwrite: bool, reporter: Reporter) -> str:
         "the volume which c2 sees, too\n"
         f"distance from the true points: median {median_um:.1f} um, 95 % below {p95_um:.1f} um, "
         f"{(error > WRONG_MM).mean():.2%} more than {WRONG_MM} mm\n"
-        f"look at {out}/result/overview.png; the cloud is {out}/result/cloud.ply"
+        f"open {out}/result/report.html in a browser; the cloud is {out}/result/cloud.ply"
     )

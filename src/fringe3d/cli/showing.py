@@ -1,11 +1,15 @@
-"""``fringe3d report``: results for people."""
+"""``fringe3d report`` and ``fringe3d view``: results for people."""
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
 
 from fringe3d.cli.console import say
-from fringe3d.cli.parameters import Json, Overwrite, app
+from fringe3d.cli.parameters import Json, Overwrite, app, at_least
+from fringe3d.errors import MethodError
 
 
 @app.command
@@ -41,3 +45,62 @@ def report(
     write_text(target, text, overwrite=overwrite)
     record = {"out": str(target), "bytes": len(text.encode())}
     say(f"{len(text.encode()) / 1e6:.1f} MB -> {target}", record, as_json=as_json)
+
+
+@app.command
+def view(
+    result: Path,
+    /,
+    *,
+    host: str = "127.0.0.1",
+    port: Annotated[int, Parameter(validator=at_least(1, 65535))] = 8080,
+    points: Annotated[int, Parameter(validator=at_least(1))] = 1_000_000,
+    html: Path | None = None,
+    overwrite: Overwrite = False,
+) -> None:
+    """Show a result in three dimensions, in the browser; Ctrl-C ends it.
+
+    Points coloured by depth, brightness, sigma or order probability; the rig with its measuring
+    volume; rejected pixels by reason; and of each pixel the viewing ray and the candidates on it.
+    Example: fringe3d view result
+
+    Parameters
+    ----------
+    result
+        Folder that fringe3d measure left.
+    host
+        Address to listen on: by default only this machine can see the page; 0.0.0.0 for all.
+    port
+        The next free one is taken where it is in use.
+    points
+        Show at most so many; more are thinned at random.
+    html
+        Write the points as a page that needs no network instead, and end.
+    """
+    from fringe3d.io.atomic import require_writable, write_text
+    from fringe3d.io.stored import read_result
+
+    if html is not None:
+        from fringe3d.report.measurement import cloud_html
+
+        require_writable(html, overwrite=overwrite, inputs=(result / "measure.toml",))
+        text = cloud_html(read_result(result), most_points=points)
+        write_text(html, text, overwrite=overwrite)
+        say(f"{len(text) / 1e6:.1f} MB -> {html}")
+        return
+    stored = read_result(result)
+    if stored.rejection.all():
+        raise MethodError(f"{result}: expected points, found none. Look at overview.png")
+    try:
+        from fringe3d.view.live import LiveView
+    except ModuleNotFoundError as problem:
+        raise MethodError(
+            f"view: expected the packages of the 3D view, found no '{problem.name}'. Install them: "
+            "pip install 'fringe3d[view]'. Without them: --html FILE, or fringe3d report"
+        ) from None
+    live = LiveView(stored, host=host, port=port, most_points=points)
+    say(f"{live.address} shows {result}; Ctrl-C ends it")
+    try:
+        live.server.sleep_forever()
+    except KeyboardInterrupt:
+        live.server.stop()

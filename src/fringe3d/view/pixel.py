@@ -1,0 +1,208 @@
+"""The story of one pixel: its viewing ray, the candidates on it, and the one that was taken."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fringe3d.errors import MethodError
+from fringe3d.geometry import depth_interval, frustum, project, rays, sheet_crossing
+from fringe3d.io.stored import StoredResult
+from fringe3d.model import NO_ORDER, Device, MeasuringVolume, Rejection
+from fringe3d.options import MeasureOptions, volume_of
+from fringe3d.patterns import across
+
+TWO_PI = 2 * math.pi
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Candidate:
+    """A fringe order that fits the pixel's phase, and its point.
+
+    Parameters
+    ----------
+    order : int
+    depth_mm : float; distance along the viewing ray
+    point_mm : (3,) float, world
+    pixels : dict of device name to (2,) float, px; (x, y) where the other devices see it
+    is_taken : bool
+    """
+
+    order: int
+    depth_mm: float
+    point_mm: NDArray[np.float64]
+    pixels: dict[str, NDArray[np.float64]]
+    is_taken: bool
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PixelStory:
+    """What is known of a pixel of C1.
+
+    Parameters
+    ----------
+    row, col : int
+    ends_mm : (2, 3) float, world; where the viewing ray enters and leaves the volume, NaN where it
+        misses it
+    segments : dict of device name to (2, 2) float, px; the ends as the other devices see them
+    candidates : tuple of Candidate; empty where the pixel has no phase, or no projector is known
+    words : str; what was taken and why
+    """
+
+    row: int
+    col: int
+    ends_mm: NDArray[np.float64]
+    segments: dict[str, NDArray[np.float64]]
+    candidates: tuple[Candidate, ...]
+    words: str
+
+
+def seen_volume(stored: StoredResult, /) -> tuple[Device, MeasuringVolume]:
+    """Return C1, and the measuring volume as far as C1 sees it and the projector lights it."""
+    if stored.rig is None:
+        raise MethodError(f"{stored.folder}: expected a rig.toml, found none. Measure again")
+    name = stored.record["decoding"][0]["camera"]
+    camera = next(camera for camera in stored.rig.cameras if camera.name == name)
+    depth = stored.record["options"].get("depth_mm")
+    volume = volume_of(stored.rig, name, MeasureOptions(depth_mm=tuple(depth) if depth else None))
+    seen = frustum(camera) if volume is None else volume.intersection(frustum(camera))
+    lit = stored.rig.projector
+    return camera, seen if lit is None else seen.intersection(frustum(lit))
+
+
+def pixel_story(stored: StoredResult, row: int, col: int, /) -> PixelStory:
+    """Tell what a measurement made of one pixel of C1.
+
+    Parameters
+    ----------
+    stored : StoredResult with a rig
+    row, col : int; the pixel
+
+    Raises
+    ------
+    MethodError
+        If there is no such pixel, or no rig.
+    """
+    n_rows, n_cols = stored.rejection.shape
+    if not (0 <= row < n_rows and 0 <= col < n_cols):
+        raise MethodError(
+            f"pixel: expected row 0 to {n_rows - 1} and column 0 to {n_cols - 1}, found row {row}, "
+            f"column {col}"
+        )
+    camera, volume = seen_volume(stored)
+    assert stored.rig is not None
+    others = [device for device in stored.rig.devices if device is not camera]
+    origin, direction = rays(camera, [float(col), float(row)])
+    near, far = (float(t[0]) for t in depth_interval(origin, direction[None], volume))
+    missed = not (near < far < math.inf)
+    ends = origin + np.array([[near], [far]]) * direction
+    ends = np.full((2, 3), np.nan) if missed else ends
+    candidates = () if missed else _candidates(stored, (row, col), origin, direction, (near, far))
+    return PixelStory(
+        row=row,
+        col=col,
+        ends_mm=ends,
+        segments={device.name: project(device, ends) for device in others},
+        candidates=candidates,
+        words=_words(stored, (row, col), candidates, missed=missed),
+    )
+
+
+def _candidates(
+    stored: StoredResult,
+    pixel: tuple[int, int],
+    origin: NDArray[np.float64],
+    direction: NDArray[np.float64],
+    depths_mm: tuple[float, float],
+) -> tuple[Candidate, ...]:
+    """Return the places of the viewing ray that the projector lights with the pixel's phase."""
+    assert stored.rig is not None
+    projector, taken = stored.rig.projector, int(stored.maps["fringe_order"][pixel])
+    if projector is None or taken == NO_ORDER or stored.rejection[pixel]:
+        return ()
+    fringes = stored.record["decoding"][0]
+    angle, period = angle_of(fringes["direction"]), float(fringes["period_px"])
+    part = float(stored.maps["absolute_phase"][pixel]) / TWO_PI - taken
+    ends = project(projector, origin + np.array(depths_mm)[:, None] * direction)
+    turns = np.sort(across(angle, ends[:, 0], ends[:, 1]) / period - part)
+    orders = np.union1d(np.arange(math.ceil(turns[0]), math.floor(turns[1]) + 1), [taken])
+    depths = sheet_crossing(
+        projector, origin, np.repeat(direction[None], len(orders), axis=0),
+        (orders + part) * period, angle,
+    )  # fmt: skip
+    others = [device for device in stored.rig.devices if device.name != fringes["camera"]]
+    return tuple(
+        Candidate(
+            order=int(order),
+            depth_mm=float(depth),
+            point_mm=origin + depth * direction,
+            pixels={device.name: project(device, origin + depth * direction) for device in others},
+            is_taken=bool(order == taken),
+        )
+        for order, depth in zip(orders, depths, strict=True)
+        if np.isfinite(depth)
+    )
+
+
+def angle_of(direction: str, /) -> float:
+    """Return the angle of fringes, rad, from the name that the record gives their direction.
+
+    Examples
+    --------
+    >>> angle_of("x"), angle_of("180deg") == np.pi
+    (0.0, True)
+    """
+    named = {"x": 0.0, "y": np.pi / 2}
+    return named[direction] if direction in named else math.radians(float(direction[:-3]))
+
+
+def _words(
+    stored: StoredResult,
+    pixel: tuple[int, int],
+    candidates: tuple[Candidate, ...],
+    *,
+    missed: bool,
+) -> str:
+    rejected = [reason for reason in Rejection if stored.rejection[pixel] & reason]
+    if rejected:
+        return "no point: " + "; ".join(reason.meaning for reason in rejected)
+    x, y, z = stored.maps["points_mm"][pixel]
+    sigma = 1000 * float(stored.maps["sigma_mm"][pixel])
+    place = f"x {x:.3f}, y {y:.3f}, z {z:.3f} mm, sigma {sigma:.1f} um along the ray"
+    if not candidates:
+        where = "the ray leaves the volume that projector and camera share" if missed else (
+            "without a calibrated projector no candidates are listed"
+        )  # fmt: skip
+        return f"{place}; {where}"
+    probability = float(stored.maps["order_probability"][pixel])
+    return (
+        f"{place}; fringe order {int(stored.maps['fringe_order'][pixel])}, one of "
+        f"{len(candidates)} on the segment, with probability {probability:.4f}, by method "
+        f"{stored.record['method']}: {stored.record['why_this_method']}"
+    )
+
+
+def nearest_pixel(
+    points_mm: NDArray[np.float64], origin: Any, direction: Any, /
+) -> tuple[int, int] | None:
+    """Return the pixel (row, col) whose point a line of sight hits: the one at the least angle.
+
+    Parameters
+    ----------
+    points_mm : (row, col, 3) float, NaN where there are none
+    origin, direction : (3,) float; of the line
+    """
+    away = points_mm.reshape(-1, 3) - np.asarray(origin, np.float64)
+    axis = np.asarray(direction, np.float64) / np.linalg.norm(direction)
+    along = away @ axis
+    square = np.einsum("ni,ni->n", away, away)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        tangent = np.where(along > 0, square / np.square(along) - 1, np.nan)
+    if not np.isfinite(tangent).any():
+        return None
+    row, col = np.unravel_index(int(np.nanargmin(tangent)), points_mm.shape[:2])
+    return int(row), int(col)

@@ -1,0 +1,200 @@
+"""The 3D view: candidates of a pixel, and what a browser shows."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from browser import browser, pixels_of, watched_page
+from fringe3d.cli import main
+from fringe3d.errors import MethodError
+from fringe3d.io.rigfile import rig_text
+from fringe3d.io.stored import StoredResult, read_result
+from fringe3d.model import Device, MeasuringVolume, Rig, RigidTransform
+from fringe3d.view.pixel import angle_of, nearest_pixel, pixel_story
+from fringe3d.view.shapes import frustum_lines, volume_lines
+from stored_result import SHAPE, write_stored_result
+
+PERIOD_PX = 16.0
+DISTORTION = [0.05, -0.02, 0.001, -0.001]
+
+
+def device(name: str, role: Any, x_mm: float, turn_deg: float) -> Device:
+    turn = np.radians(turn_deg)
+    rotation = np.array(
+        [[np.cos(turn), 0, -np.sin(turn)], [0, 1, 0], [np.sin(turn), 0, np.cos(turn)]]
+    )
+    pose = RigidTransform(rotation=rotation, translation=-rotation @ [x_mm, 0, 0])
+    return Device(
+        name=name,
+        role=role,
+        n_rows=SHAPE[0],
+        n_cols=SHAPE[1],
+        focal_px=[400, 400],
+        center_px=[39.5, 29.5],
+        distortion=DISTORTION,
+        device_from_world=pose,
+    )
+
+
+def seen_by_opencv(of: Device, point: np.ndarray) -> np.ndarray:
+    pose = of.device_from_world
+    matrix = np.array([[400, 0, 39.5], [0, 400, 29.5], [0, 0, 1.0]])
+    turn, _ = cv2.Rodrigues(pose.rotation)
+    pixels, _ = cv2.projectPoints(
+        point.reshape(1, 1, 3), turn, pose.translation, matrix, np.array(DISTORTION)
+    )
+    return np.asarray(pixels).reshape(2)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A result whose points lie where its rig sees them; phases by OpenCV's projection."""
+    made = write_stored_result(tmp_path_factory.mktemp("view") / "result")
+    rig = Rig(
+        cameras=(device("c1", "camera", 0, 0), device("c2", "camera", 60, -8.5)),
+        projector=device("projector", "projector", -45, 6.4),
+        volume=MeasuringVolume.box([-100, -100, 350], [100, 100, 450]),
+    )
+    (made / "rig.toml").write_text(rig_text(rig), encoding="utf-8")
+    with np.load(made / "points.npz") as stored:
+        maps = dict(stored)
+    point = np.array([3.0, 2.0, 402.0])
+    row, col = PIXEL
+    maps["points_mm"] += [0, 0, 300]
+    maps["points_mm"][PIXEL] = point
+    turns = (seen_by_opencv(rig.devices[2], point)[0] + 0.5) / PERIOD_PX
+    maps["absolute_phase"] = np.full(SHAPE, 2 * np.pi * turns)
+    maps["fringe_order"] = np.full(SHAPE, int(turns), np.int32)
+    np.savez(made / "points.npz", **maps)
+    assert np.abs(seen_by_opencv(rig.devices[0], point) - [col, row]).max() < 0.5
+    return made
+
+
+PIXEL = (31, 42)
+
+
+@pytest.fixture(scope="module")
+def stored(folder: Path) -> StoredResult:
+    return read_result(folder)
+
+
+def test_the_taken_candidate_is_the_point(stored: StoredResult) -> None:
+    """The viewing ray of the pixel passes the point by less than half a pixel, 0.5 mm there."""
+    story = pixel_story(stored, *PIXEL)
+    taken = [candidate for candidate in story.candidates if candidate.is_taken]
+    assert len(taken) == 1
+    np.testing.assert_allclose(taken[0].point_mm, [3.0, 2.0, 402.0], atol=6.0)
+    rig = stored.rig
+    assert rig is not None
+    for seen_by in rig.devices[1:]:
+        expected = seen_by_opencv(seen_by, taken[0].point_mm)
+        np.testing.assert_allclose(taken[0].pixels[seen_by.name], expected, atol=1e-6)
+
+
+def test_candidates_have_one_phase_and_lie_on_the_segment(stored: StoredResult) -> None:
+    story = pixel_story(stored, *PIXEL)
+    assert stored.rig is not None
+    projector = stored.rig.devices[2]
+    part = float(stored.maps["absolute_phase"][PIXEL]) / (2 * np.pi) % 1
+    assert len(story.candidates) >= 1
+    near, far = story.ends_mm
+    for candidate in story.candidates:
+        turns = (seen_by_opencv(projector, candidate.point_mm)[0] + 0.5) / PERIOD_PX
+        assert turns == pytest.approx(candidate.order + part, abs=1e-6)
+        along = (candidate.point_mm - near) @ (far - near) / ((far - near) @ (far - near))
+        assert 0 <= along <= 1
+
+
+def test_a_rejected_pixel_says_why(stored: StoredResult) -> None:
+    story = pixel_story(stored, 0, 0)
+    assert story.candidates == ()
+    assert "too little fringe contrast" in story.words
+
+
+def test_a_pixel_outside_is_refused(stored: StoredResult) -> None:
+    with pytest.raises(MethodError, match="row 0 to 59"):
+        pixel_story(stored, 60, 0)
+
+
+def test_a_line_of_sight_finds_its_point() -> None:
+    points = np.full((2, 3, 3), np.nan)
+    points[1, 2], points[0, 1] = [1, 0, 10], [0, 0, -10]
+    assert nearest_pixel(points, [0, 0, 0], [0.1, 0, 1]) == (1, 2)
+    assert nearest_pixel(np.full((2, 2, 3), np.nan), [0, 0, 0], [0, 0, 1]) is None
+
+
+def test_directions_are_read_as_they_are_named() -> None:
+    from fringe3d.health import axis_name
+
+    for angle in (0.0, np.pi / 2, 0.4):
+        assert angle_of(axis_name(angle)) == pytest.approx(angle, abs=1e-5)
+
+
+def test_edges_of_a_volume_and_of_a_view() -> None:
+    box = volume_lines(MeasuringVolume.box([0, 0, 0], [1, 2, 3]))
+    lengths = np.sort(np.linalg.norm(box[:, 0] - box[:, 1], axis=1))
+    np.testing.assert_allclose(lengths, np.repeat([1, 2, 3], 4), atol=1e-9)
+    slab = MeasuringVolume(normals=[[0, 0, 1], [0, 0, -1]], offsets_mm=[1, 0])
+    assert len(volume_lines(slab)) == 0
+    assert frustum_lines(device("c1", "camera", 0, 0), 50.0).shape == (8, 2, 3)
+
+
+def test_a_page_of_the_points_alone(folder: Path, tmp_path: Path) -> None:
+    page = tmp_path / "cloud.html"
+    main(["view", str(folder), "--html", str(page), "--points", "500"])
+    text = page.read_text(encoding="utf-8")
+    assert "500 of 4,360 points" in text
+    assert "http" not in text.replace("http-equiv", "")
+
+
+def test_what_to_install_is_said(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(__import__("sys").modules, "fringe3d.view.live", None)
+    monkeypatch.setitem(__import__("sys").modules, "viser", None)
+    with pytest.raises(SystemExit):
+        main(["view", str(folder)])
+    assert "fringe3d[view]" in capsys.readouterr().err
+
+
+def test_a_browser_shows_the_live_view(stored: StoredResult) -> None:
+    pytest.importorskip("viser")
+    from fringe3d.view.live import LiveView
+
+    with browser() as chromium:
+        live = LiveView(stored, host="127.0.0.1", port=8765)
+        try:
+            assert "127.0.0.1" in live.address
+            page, said = watched_page(chromium)
+            page.goto(live.address)
+            page.wait_for_selector("canvas", timeout=60_000)
+            by_depth = settled(page)
+            live.colour_by("brightness")
+            assert (settled(page, unlike=by_depth) != by_depth).any(axis=-1).mean() > 0.01
+            live.show_pixel(*PIXEL)
+            page.get_by_text("row 31, column 42").wait_for(timeout=20_000)
+            page.mouse.click(250, 350)
+            page.get_by_text("row 31, column 42:").wait_for(state="hidden", timeout=20_000)
+            assert "order" in live.story.content
+            assert said == []
+        finally:
+            live.server.stop()
+
+
+def settled(page: Any, *, unlike: Any = None, patience_s: float = 40.0) -> np.ndarray:
+    """Return what the canvas shows once it shows much (and something else than before)."""
+    end = time.monotonic() + patience_s
+    while time.monotonic() < end:
+        shown = pixels_of(page.locator("canvas").first)
+        coloured = np.ptp(shown.astype(int), axis=-1) > 40
+        is_new = unlike is None or (shown != unlike).any(axis=-1).mean() > 0.01
+        if is_new and (unlike is not None or coloured.mean() > 0.02):
+            return shown
+        page.wait_for_timeout(300)
+    raise AssertionError("the canvas never showed the points")
