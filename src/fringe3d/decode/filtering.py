@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +22,10 @@ RADIUS_PX: dict[str, int] = {"light": 3, "medium": 5, "strong": 8}
 BEND_SIGMAS, POOL_PX = 0.6, 21
 """A larger disc is taken only where it changes the phase by less than this part of its noise, on
 average over so many pixels: it would flatten a ball by a few micrometres."""
+
+MOST_EXCESS, NEAR_POOL_PX = 2.0, 11
+"""Nor where the mean square of its changes next to a pixel is that much larger than noise makes it:
+there is relief finer than the disc."""
 
 GATE_SIGMAS, GATE_RAD = 4.0, 0.01
 """Neighbours farther from the local parabola belong to another surface. Noise hardly reaches four
@@ -117,13 +121,15 @@ def smoothed_phase(
     (True, 0.017)
     """
     smaller = [radius for radius in RADIUS_PX.values() if radius < radius_px]
-    first, *larger = [*smaller, radius_px]
-    found, deviation = _parabolas(phase, sigma, first)
+    found, deviation = phase, sigma
     is_open = np.ones(phase.shape, bool)
-    for radius in larger:
+    for radius in (*smaller, radius_px):
         wider, wider_deviation = _parabolas(phase, sigma, radius)
-        change = _pooled(wider - found, np.sqrt(np.maximum(deviation**2 - wider_deviation**2, 0)))
-        is_open &= (np.abs(change) < BEND_SIGMAS * wider_deviation) & (wider_deviation < deviation)
+        change, excess = _changes(
+            wider - found, np.sqrt(np.maximum(deviation**2 - wider_deviation**2, 0))
+        )
+        is_open &= (np.abs(change) < BEND_SIGMAS * wider_deviation) & (excess < MOST_EXCESS)
+        is_open &= wider_deviation < deviation
         found = np.where(is_open, wider, found)
         deviation = np.where(is_open, wider_deviation, deviation)
     return found, deviation
@@ -140,12 +146,24 @@ def _parabolas(
     return answer, sigma_answer
 
 
-def _pooled(change: NDArray[np.float32], deviation: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return the mean change around each pixel: the noise of one hides what neighbours share."""
-    known = np.abs(change) <= GATE_SIGMAS * deviation + np.float32(1e-6)
-    total = ndimage.uniform_filter(np.where(known, change, np.float32(0)), POOL_PX)
-    share = ndimage.uniform_filter(known.astype(np.float32), POOL_PX)
-    return np.asarray(total / np.maximum(share, np.float32(1e-3)), np.float32)
+def _changes(
+    change: NDArray[np.float32], deviation: NDArray[np.float32]
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Return what a larger disc changes around each pixel: on average, rad; and its mean square,
+    over that of the noise. The noise of one pixel hides what neighbours share."""
+    known = np.isfinite(change) & (deviation > 0)
+    clipped = np.clip(np.where(known, change, 0), -GATE_SIGMAS * deviation, GATE_SIGMAS * deviation)
+    square = np.where(known, change / np.maximum(deviation, np.float32(1e-9)), 0) ** 2
+    square = np.minimum(square, np.float32(GATE_SIGMAS**2))
+    share = np.maximum(_mean(known, POOL_PX), np.float32(1e-3))
+    near_share = np.maximum(_mean(known, NEAR_POOL_PX), np.float32(1e-3))
+    mean = _mean(np.where(known, clipped, 0), POOL_PX) / share
+    mean_square = _mean(np.where(known, square, 0), NEAR_POOL_PX) / near_share
+    return mean.astype(np.float32), mean_square.astype(np.float32)
+
+
+def _mean(values: NDArray[Any], width_px: int) -> NDArray[np.float32]:
+    return np.asarray(ndimage.uniform_filter(values.astype(np.float32), width_px))
 
 
 def interpolated_part(radius_px: int, /) -> float:
