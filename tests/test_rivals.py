@@ -24,7 +24,7 @@ from closed_phases import (
 from cv_lens import cv_project
 from fringe3d.correspond import Rivals, Task, TwoViews, coarse_stride, rivals
 from fringe3d.correspond.candidates import ChosenOrders
-from fringe3d.correspond.solutions import Solution
+from fringe3d.correspond.solutions import Solution, weighed
 from fringe3d.model import NO_ORDER, CalibrationBias, Rejection, Rig
 
 pytestmark = pytest.mark.usefixtures("one_thread")
@@ -285,16 +285,41 @@ def test_two_scans_have_one_bias() -> None:
     )  # fmt: skip
 
 
-def test_nothing_clear_tells_nothing() -> None:
-    rig = nearly_symmetric()
-    views = views_of(rig, PLANE)
-    left_out = np.full(views.phases1.rejection.shape, np.uint16(Rejection.LOW_MODULATION))
-    left_out[60:80, 60:100] = 0  # 800 of the 2000 pixels it takes
-    few = replace(views, phases1=views.phases1.rejecting(left_out))
-    assert rivals([task_of(rig, few)]) is None
-    result = choose(rig, few, search=True)
-    assert not result.bias.displacement([[80.0, 64.0]], [335.0]).any()
-    assert result.bias.scatter_px == 0.3
+def part_of(views: TwoViews, rows: slice, cols: slice) -> tuple[TwoViews, Mask]:
+    """Return the views with a part of C1's pixels alone, and which they are."""
+    rejection = np.full(views.phases1.rejection.shape, np.uint16(Rejection.LOW_MODULATION))
+    rejection[rows, cols] = 0
+    return replace(views, phases1=views.phases1.rejecting(rejection)), rejection == 0
+
+
+@pytest.mark.parametrize("strict", [False, True])
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize("size", [(20, 40), (44, 44), (4, 6)])
+def test_a_small_plane_is_left_open(size: tuple[int, int], sign: int, strict: bool) -> None:
+    """Its pixels share the calibration's error: however few they are, they do not tell it."""
+    rig, (rows, cols) = nearly_symmetric(), size
+    views = views_of(rig, PLANE, sign)
+    few, there = part_of(views, slice(60, 60 + rows), slice(60, 60 + cols))
+    result = choose(rig, few, search=True, strict=strict, min_probability=0.99 if strict else 0.9)
+    assert (there & visible(rig, PLANE)).sum() > 0.9 * rows * cols
+    assert (result.phases.rejection > 0).all()
+
+
+@pytest.mark.parametrize("px", [0.4, -0.4])
+@pytest.mark.parametrize("strict", [False, True])
+def test_a_stored_bias_may_be_a_period_off_at_the_side_alone(px: float, strict: bool) -> None:
+    """In the middle of the image it is known; the plane stands at its right border."""
+    rig, true = nearly_symmetric(), solved(SCENE, 1).bias
+    views, _ = part_of(views_of(rig, PLANE), slice(10, 118), slice(110, 158))
+    wrong = true.coefficients_px.copy()
+    wrong[0, 1] += px
+    sigma = np.tile([0.02, abs(px)] + 7 * [0.02], 2)
+    stored = replace(true, coefficients_px=wrong, covariance_px2=np.diag(sigma**2))
+    result = choose(
+        rig, views, search=True, bias=stored, strict=strict, min_probability=0.99 if strict else 0.9
+    )
+    off = turns_off(rig, views, PLANE, result.phases.order_class)
+    assert not ((result.phases.rejection == 0) & (off != 0)).any()
 
 
 def test_nothing_decoded_tells_nothing() -> None:
@@ -379,10 +404,6 @@ def test_agreement_is_the_weight_of_the_same_order() -> None:
     # In a hole it is that of the nearest one: there are pixels whose sampled neighbour is dark.
     assert found[50, 50] == pytest.approx(whole[39 // 3, 50 // 2])
     assert rival.best is rival.solutions[0].bias
-    # Evidence halved: odds of 0.6 to 0.3 and 0.1 become those of their square roots.
-    roots = np.sqrt([0.6, 0.3, 0.1])
-    doubted = rival.agreement(shape, doubt=2.0)
-    assert doubted[at[1, 1], at[1, 0]] == pytest.approx((roots[0] + roots[2]) / roots.sum())
 
 
 def test_agreement_is_that_of_the_numbered_scan() -> None:
@@ -430,3 +451,15 @@ def test_solutions_resemble_by_their_orders(n_same: int, resembles: bool) -> Non
     bias = [task.frame.constant((c, 0.0), scatter_px=0.1) for c in (0.0, 5.0)]
     first, second = Solution(bias[0], (order,), 0.0), Solution(bias[1], (other,), 9.0)
     assert first.resembles(second) == resembles
+
+
+@pytest.mark.parametrize("gap", [4.0, 12.0, 18.0, 30.0])
+def test_odds_are_those_of_a_quarter_of_the_evidence(gap: float) -> None:
+    rig = nearly_symmetric()
+    task = task_of(rig, views_of(rig, PLANE), stride=(4, 4))
+    order = np.zeros(len(task.pixels), np.int32)
+    bias = task.frame.constant((0.0, 0.0), scatter_px=0.1)
+    found = weighed(
+        [task], [Solution(bias, (order,), 7.0), Solution(bias, (order + 1,), 7.0 + gap)]
+    )
+    np.testing.assert_allclose(found.agreements(), 1 / (1 + np.exp(-gap / 4)))

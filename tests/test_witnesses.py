@@ -18,11 +18,12 @@ from closed_phases import (
     grid_of,
     phase_map,
     small_rig,
+    task_of,
     true_turns,
     turns_off,
     visible,
 )
-from fringe3d.correspond import TwoViews, Witnesses
+from fringe3d.correspond import TwoViews, Witnesses, rivals
 from fringe3d.model import Device, PhaseMap, Rig, RigidTransform, WrappedPhaseMap
 
 pytestmark = pytest.mark.usefixtures("one_thread")
@@ -121,14 +122,26 @@ def test_the_frame_before_settles_what_is_nearly_as_likely(change: float) -> Non
     assert wrong < 1e-3
 
 
-@pytest.mark.parametrize("azimuth", [-18.0, -12.0])
+@pytest.mark.parametrize("azimuth", [-24.0, -18.0, -12.0])
 @pytest.mark.parametrize("change", [1.0, -1.0])
 def test_the_images_outvote_a_wrong_frame_before(azimuth: float, change: float) -> None:
     rig = small_rig(projector_azimuth_deg=azimuth)
     before = Witnesses(previous_turns=turns_before(rig, change))
     right, wrong = right_part(rig, views_of(rig), witnesses=before, search=True)
-    assert right > 0.99 or azimuth == -12.0  # there it leaves them open
+    assert right > 0.99 or azimuth > -24.0  # there it may leave them open
     assert wrong < 1e-3
+
+
+def test_an_unrelated_frame_before_makes_no_surer() -> None:
+    """A thousand periods off it speaks against all solutions alike."""
+    rig = small_rig(projector_azimuth_deg=-1.0)
+    alone, beside = (task_of(rig, views_of(rig)) for _ in range(2))
+    beside.before[:] = 999.0
+    found, again = rivals([alone]), rivals([beside])
+    assert found is not None
+    assert again is not None
+    assert len(found.weights) > 1
+    np.testing.assert_allclose(found.weights, again.weights)
 
 
 def test_a_third_camera_tells(rig: Rig) -> None:

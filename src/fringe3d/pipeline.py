@@ -175,13 +175,13 @@ def measure(
     if previous_mm is not None:
         _require_previous(previous_mm, main, choice.method)
     camera, other = _devices(scan.rig, stacks, choice.method)
-    projector = scan.rig.projector
+    rig, projector = _with_own_bias(scan.rig, camera, other), scan.rig.projector
     with clock("finding correspondences"):
         matched = match(phases, camera, other, projector, volume, method=choice.method,
-                        options=options, bias=scan.rig.bias, previous_mm=previous_mm,
-                        cameras=_further_cameras(scan.rig, stacks))  # fmt: skip
+                        options=options, bias=rig.bias, previous_mm=previous_mm,
+                        cameras=_further_cameras(rig, stacks))  # fmt: skip
         matches = matched.matches
-        findings += _check_orders(matched, main, scan.rig, volume, choice.method)
+        findings += _check_orders(matched, main, rig, volume, choice.method)
         if previous_mm is not None and projector is not None:
             findings += check_previous(matches, main, projector, previous_mm)
     with clock("triangulating"):
@@ -192,7 +192,7 @@ def measure(
     with clock("checking"):
         findings += check_epipolar(matches) + check_yield(points)
         if other.role == "camera":
-            findings += _check_cameras(findings, phases, matches, points, (camera, other), scan.rig)
+            findings += _check_cameras(findings, phases, matches, points, (camera, other), rig)
         points = _clean(points, options, main)
         if main.is_quantised:
             points = remove_repeated(points, matches)
@@ -241,6 +241,13 @@ def _check_orders(
         twins = check_twins(twin_share(main, camera, rig.projector, volume))
     bias = check_bias(matched.bias, rig.bias)
     return [*matched.findings, *ambiguity, *bias, *check_probability(matched.matches), *twins]
+
+
+def _with_own_bias(rig: Rig, camera: Device, other: Device) -> Rig:
+    """Return the rig, without its bias where that belongs to another pair of cameras."""
+    pair = [device.name for device in (camera, other)]
+    is_own = other.role == "projector" or pair == [c.name for c in rig.cameras[:2]]
+    return rig if is_own else replace(rig, bias=None)
 
 
 def _devices(rig: Rig, stacks: Sequence[ImageStack], method: str) -> tuple[Device, Device]:

@@ -13,7 +13,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from fringe3d.correspond import DOUBT, Rivals, Solution, Task, epipolar_direction, rivals
+from fringe3d.correspond import (
+    DOUBT,
+    Rivals,
+    Solution,
+    Task,
+    epipolar_direction,
+    rivals,
+    tells_enough,
+)
 from fringe3d.decode import CameraPhases
 from fringe3d.geometry import depth_interval, pixel_grid, rays
 from fringe3d.matching import search_task
@@ -54,12 +62,13 @@ def fit_as_it_is(
     rig : Rig with two cameras and a projector
     volume : MeasuringVolume
     """
-    found = rivals([_task(phases, rig, volume) for phases in scans])
-    if found is None:
+    tasks = [_task(phases, rig, volume) for phases in scans]
+    found = rivals(tasks)
+    if found is None or not tells_enough(tasks, [task.decide(found.best) for task in tasks]):
         return None
     # These images are no new evidence for it: without a covariance it serves them as it is.
     bias = replace(found.best, source="self-calibration", covariance_px2=None)
-    return Fit(replace(rig, bias=bias), found, float(np.mean(found.agreements(doubt=DOUBT))))
+    return Fit(replace(rig, bias=bias), found, float(np.mean(found.agreements())))
 
 
 def fit_turned(

@@ -7,11 +7,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fringe3d.correspond import DOUBT, Task, rivals
+from fringe3d.correspond import Task, rivals, tells_enough
 from fringe3d.decode import decode
 from fringe3d.errors import MethodError
 from fringe3d.matching import best_direction_first, search_task
 from fringe3d.model import CalibrationBias, Device, MeasuringVolume, Rig, Scan
+from fringe3d.model.bias import SAME_ANGLE
 from fringe3d.options import MeasureOptions, keep_images, volume_of
 
 LEAST_CERTAINTY = 0.99
@@ -82,13 +83,14 @@ def learn_rig_bias(
         step(work, number, len(scans))
         tasks.append(_task(scan, rig, rig.projector, volume, options))
     step(work, len(scans), len(scans))
+    _require_one_bias(tasks, scans, rig)
     found = rivals(tasks)
-    if found is None:
+    if found is None or not tells_enough(tasks, [task.decide(found.best) for task in tasks]):
         raise MethodError(
             "calibrate bias: expected a surface whose fringe orders are mostly clear, found too "
             "few such pixels. Take a well-structured scan, or one with a Gray code"
         )
-    agree = found.agreements(doubt=DOUBT)
+    agree = found.agreements()
     source = ", ".join(scan.title or f"scan {number + 1}" for number, scan in enumerate(scans))
     return LearntBias(
         bias=replace(found.best, source=source),
@@ -96,6 +98,27 @@ def learn_rig_bias(
         n_solutions=len(found.solutions),
         decided_part=float(np.mean(agree > LEAST_CERTAINTY)),
     )
+
+
+def _require_one_bias(tasks: Sequence[Task], scans: Sequence[Scan], rig: Rig) -> None:
+    """Raise unless all scans show the bias that `measure` will apply."""
+    pair = tuple(camera.name for camera in rig.cameras[:2])
+    angle = tasks[0].views.phases1.angle
+    for task, scan in zip(tasks, scans, strict=True):
+        views, title = task.views, f"calibrate bias: scan '{scan.title}'"
+        seen = (views.camera1.name, views.camera2.name)
+        if seen != pair:
+            raise MethodError(
+                f"{title}: expected images of '{pair[0]}' and '{pair[1]}' first, the first two "
+                f"cameras of the rig, found '{seen[0]}' and '{seen[1]}'. List the cameras in "
+                "scan.toml in the order of rig.toml"
+            )
+        if abs(np.sin(views.phases1.angle - angle)) > SAME_ANGLE:
+            raise MethodError(
+                f"{title}: expected fringes at {np.degrees(angle):.0f} deg as in the first scan, "
+                f"found {np.degrees(views.phases1.angle):.0f} deg: each direction has a bias of "
+                "its own. Choose one (--direction x or y)"
+            )
 
 
 def _task(

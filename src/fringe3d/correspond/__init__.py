@@ -16,7 +16,7 @@ from fringe3d.correspond.projector import (
 from fringe3d.correspond.single import confirm_orders
 from fringe3d.correspond.smoothing import averaged_phase, quiet
 from fringe3d.correspond.solutions import DOUBT, Rivals, Solution, epipolar_direction, rivals
-from fringe3d.correspond.solving import coarse_stride
+from fringe3d.correspond.solving import coarse_stride, tells_enough
 from fringe3d.correspond.stereo import fringe_crossing, match_cameras
 from fringe3d.correspond.weighing import Task, TwoViews
 from fringe3d.correspond.witnesses import Witnesses
@@ -50,5 +50,6 @@ __all__ = [
     "ray_curves",
     "resolve_orders",
     "rivals",
+    "tells_enough",
     "twin_share",
 ]

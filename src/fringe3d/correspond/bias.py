@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,7 +54,6 @@ class Frame:
             middle=self.middle,
             scale=self.scale,
             scatter_px=scatter_px,
-            sigma_px=0.0 if covariance_px2 is None else _uncertainty(covariance_px2),
             covariance_px2=covariance_px2,
             angle=self.angle,
         )
@@ -170,9 +169,10 @@ def learn_bias(
         spread = MAD_TO_SIGMA * _median(misfit)
         scatter = max(float(np.sqrt(max(spread**2 - noise_px**2, 0))), LEAST_SCATTER_PX)
     covariance = np.linalg.inv(normal + prior)
-    return frame.bias(
+    found = frame.bias(
         coefficients, scatter_px=scatter, covariance_px2=(covariance + covariance.T) / 2
     )
+    return replace(found, sigma_px=_uncertainty(found, part.gradient))
 
 
 def expected(frame: Frame, known: CalibrationBias | None, /) -> tuple[Floats, Floats]:
@@ -193,12 +193,11 @@ def _median(values: Floats) -> float:
     return float(np.median(known)) if len(known) else 0.0
 
 
-def _uncertainty(covariance: Floats) -> float:
-    """Return the rms standard deviation of the displacement over image and volume, px."""
+def _uncertainty(bias: CalibrationBias, gradient: Floats) -> float:
+    """Return the standard deviation of the displacement across the fringes, rms over image and
+    volume, px. Along them nothing shows it, and nothing depends on it."""
+    across = np.linalg.eigh(gradient.T @ gradient)[1][:, -1]
     x, y, t = (a.ravel() for a in np.meshgrid(*[np.linspace(-0.8, 0.8, 5)] * 3))
     terms = terms_of(np.stack([x, y], axis=1), t, np.zeros(3), np.ones(3))
-    variance = sum(
-        np.einsum("ij,jk,ik->i", terms, covariance[at, at], terms)
-        for at in (slice(0, N_TERMS), slice(N_TERMS, None))
-    )
+    variance = np.einsum("ij,jk,ik->i", terms, bias.covariance_along(across), terms)
     return float(np.sqrt(np.mean(variance)))

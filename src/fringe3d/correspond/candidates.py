@@ -19,7 +19,7 @@ from fringe3d.correspond.choice import Choice
 from fringe3d.correspond.clear import choose_clearly, is_regular
 from fringe3d.correspond.direct import Judging
 from fringe3d.correspond.smoothing import quiet
-from fringe3d.correspond.solutions import DOUBT, Rivals, rivals, rivals_around
+from fringe3d.correspond.solutions import Rivals, rivals, rivals_around
 from fringe3d.correspond.solving import (
     coarse_stride,
     learnt_from,
@@ -160,6 +160,8 @@ def choose_orders(
     chosen, bias = panel.asked_again(chosen, bias, is_known=is_known or rival is not None)
     if rival is not None:
         chosen = _no_surer_than_rivals(task, chosen, rival)
+    elif search and not is_known:
+        chosen = _unsure(task, chosen)
     if not search:  # a code leaves so few orders that what fits outside is outside
         chosen = replace(chosen, outside=np.ones(len(task.pixels)))
     agrees, surface = np.ones(len(task.pixels), bool), np.zeros(len(task.pixels), bool)
@@ -181,14 +183,18 @@ def choose_orders(
 
 def _no_surer_than_rivals(task: Task, chosen: Choice, found: Rivals) -> Choice:
     """Lower the probability of orders that solutions do not share."""
-    shape = task.views.phases1.phase.shape
-    agreement = found.agreement(shape, doubt=DOUBT)[task.valid]
-    decided = np.isfinite(task.before)  # where the frame before has a point it has decided
-    if decided.any():
-        agreement[decided] = found.agreement(shape)[task.valid][decided]
+    agreement = found.agreement(task.views.phases1.phase.shape)[task.valid]
     agreement = no_surer_than_most(task, chosen, agreement)
     return replace(
         chosen, probability=chosen.probability * agreement, outside=chosen.outside * agreement
+    )
+
+
+def _unsure(task: Task, chosen: Choice) -> Choice:
+    """Leave open what has several candidates: all share the same error, and nothing tells it."""
+    is_only = task.is_label.sum(axis=1) == 1
+    return replace(
+        chosen, probability=chosen.probability * is_only, outside=chosen.outside * is_only
     )
 
 

@@ -27,7 +27,7 @@ from fringe3d.correspond.surfaces import CONTINUOUS, absolute_turns, made_whole,
 from fringe3d.correspond.weighing import LARGEST_COST, LARGEST_EXTRA, Task
 from fringe3d.geometry import project, rays
 from fringe3d.model import NO_ORDER, CalibrationBias, Device
-from fringe3d.model.bias import N_TERMS
+from fringe3d.model.bias import N_TERMS, terms_of
 
 STARTS_PX = tuple(0.2 * step for step in range(-4, 5))
 """Along the epipolar lines; a nearly symmetric rig has another solution every quarter pixel."""
@@ -49,20 +49,24 @@ it is at least."""
 N_LOOKS, NUDGE_PX = 3, 0.3
 """How often better solutions are sought around the best one, and how far away."""
 
-MEMORY, MOTION_TURNS = 4.0, 0.5
-"""Weight of the frame before: it settles what else is nearly as likely, odds of 50 to 1, and no
-more; and the periods by which a pixel's phase typically changes between two frames."""
 
 N_SURFACES, LEAST_SURFACE = 2, 0.03
 """Surfaces that may be right where others are not: the largest, of so many of the pixels. What one
 of them tells of the bias is then carried to all."""
 
+DOUBT = 4.0
+"""By which the evidence between solutions is divided before it becomes odds. Thousands of residuals
+share the errors of optics and calibration: a wrong solution has been seen to win by 4 half squared
+deviations."""
+
 LEAST_WEIGHT = 1e-4
 
-DOUBT = 4.0
-"""By which the evidence between solutions is divided where a single recording decides. Thousands of
-residuals share the errors of optics and calibration: a wrong solution has been seen to win by 4
-half squared deviations."""
+EDGE_PX = 64
+"""Length of a depth edge along which its jumps are alike, and count once."""
+
+MEMORY, MOTION_TURNS = 4.0 * DOUBT, 0.5
+"""Weight of the frame before: it settles what else is nearly as likely, odds of 50 to 1, and no
+more; and the periods by which a pixel's phase typically changes between two frames."""
 
 SAME_PART = 0.995
 
@@ -95,10 +99,10 @@ class Rivals:
         """Return the bias of the best solution."""
         return self.solutions[0].bias
 
-    def agreements(self, *, doubt: float = 1.0) -> NDArray[np.float64]:
+    def agreements(self) -> NDArray[np.float64]:
         """Return `agreement` for the pixels of all tasks, (n,)."""
         parts = [
-            self.agreement(task.views.phases1.phase.shape, number=number, doubt=doubt)[task.grid]
+            self.agreement(task.views.phases1.phase.shape, number=number)[task.grid]
             for number, task in enumerate(self.tasks)
         ]
         return np.concatenate([p[t.valid] for p, t in zip(parts, self.tasks, strict=True)])
@@ -111,20 +115,13 @@ class Rivals:
         apart = np.abs(best - second)[(best != second) & (best != NO_ORDER) & (second != NO_ORDER)]
         return int(np.median(apart)) if len(apart) else 0
 
-    def agreement(
-        self, shape: tuple[int, int], /, *, number: int = 0, doubt: float = 1.0
-    ) -> NDArray[np.float64]:
-        """Return the weight of the solutions whose order is that of the best one, (row, col).
-
-        `doubt` divides the evidence that tells the solutions apart.
-        """
+    def agreement(self, shape: tuple[int, int], /, *, number: int = 0) -> NDArray[np.float64]:
+        """Return the weight of the solutions whose order is that of the best one, (row, col)."""
         task, best = self.tasks[number], self.solutions[0].orders[number]
-        weights = self.weights ** (1 / doubt)
-        weights /= weights.sum()
         coarse = np.ones(task.valid.shape)
         coarse[task.valid] = sum(
             weight * (solution.orders[number] == best)
-            for weight, solution in zip(weights, self.solutions, strict=True)
+            for weight, solution in zip(self.weights, self.solutions, strict=True)
         )
         if task.valid.any():  # a cell whose sampled pixel is rejected follows the nearest one
             steps = [s.step for s in task.grid]
@@ -155,18 +152,33 @@ def rivals_around(task: Task, known: CalibrationBias, /) -> Rivals | None:
     for start in _starts_around(task, known):
         _keep(found, _judged([task], refined(task, known, start=start), known))
     found.sort(key=lambda s: s.energy)
-    return _weighed([task], found)
+    return weighed([task], found)
 
 
 def _starts_around(task: Task, known: CalibrationBias) -> Iterator[CalibrationBias]:
-    """Yield a stored bias, and what it may be instead along the epipolar lines."""
-    way = _epipolar_way(task)
-    spread = SPREAD * float(np.sqrt(known.covariance_along(way)[0, 0]))
-    for shift in STARTS_PX:
-        if shift == 0 or LEAST_SHIFT_PX < abs(shift) < spread:
-            coefficients = known.coefficients_px.copy()
-            coefficients[:, 0] += shift * way
-            yield replace(known, coefficients_px=coefficients)
+    """Yield a stored bias, and what it may be instead: moved along the epipolar lines where the
+    surfaces are, with all its terms as its covariance lets them follow."""
+    yield known
+    assert known.covariance_px2 is not None
+    way, coefficients = _epipolar_way(task), known.coefficients_px.ravel()
+    for terms in _typical_terms(task, known):
+        together = known.covariance_px2 @ np.kron(way, terms)
+        variance = float(np.kron(way, terms) @ together)
+        for shift in STARTS_PX:
+            if LEAST_SHIFT_PX < abs(shift) < SPREAD * np.sqrt(variance):
+                moved = coefficients + shift / variance * together
+                yield replace(known, coefficients_px=moved.reshape(2, N_TERMS))
+
+
+def _typical_terms(task: Task, known: CalibrationBias) -> Iterator[NDArray[np.float64]]:
+    """Yield the mean terms of the bias, (9,), on all pixels, and on each large surface."""
+    chosen = task.decide(known)
+    ordered = chosen.order != NO_ORDER
+    clear = clear_ones(task, chosen)
+    for index in (np.flatnonzero(ordered), *_large_surfaces(task, chosen, clear)):
+        if len(index):
+            depths = chosen.depth_mm[index]
+            yield terms_of(task.pixels[index], depths, known.middle, known.scale).mean(axis=0)
 
 
 def rivals(tasks: Sequence[Task], /) -> Rivals | None:
@@ -178,13 +190,14 @@ def rivals(tasks: Sequence[Task], /) -> Rivals | None:
 
     Returns
     -------
-    Rivals or None where too little is clear to learn anything
+    Rivals or None where nothing is clear, and nothing can be learnt
 
     Notes
     -----
-    The weight is ``exp(-E)``, ``E = n_patches * mean(min(r^2 / 2 sigma^2, 1.2) + others + 5 jumps)
-    + |c / prior|^2 / 2 + 4 change``, others being the costs of further fringes and cameras, change
-    the part of the pixels whose phase is not that of the frame before.
+    The weight is ``exp(-E / 4)``, ``E = n_patches * mean(min(r^2 / 2 sigma^2, 1.2) + others)
+    + 5 edges + |c / prior|^2 / 2 + 16 change``, others being the costs of further fringes and
+    cameras, edges the length of depth edges over 64 px, change the part of the pixels whose phase
+    is not that of the frame before.
     Neighbours within a patch share their errors and count once; a jump of the absolute phase
     between neighbours is a depth edge, of which all solutions see the true ones.
     """
@@ -204,13 +217,13 @@ def rivals(tasks: Sequence[Task], /) -> Rivals | None:
     if not found:
         return None
     _look_around(tasks, found, way)
-    rest = _weighed(tasks, found)
+    rest = weighed(tasks, found)
     return replace(rest, solutions=tuple(_of_whole_surfaces(tasks, s) for s in rest.solutions))
 
 
-def _weighed(tasks: Sequence[Task], found: Sequence[Solution]) -> Rivals:
+def weighed(tasks: Sequence[Task], found: Sequence[Solution]) -> Rivals:
     """Return the solutions, the best first, that are not ruled out by it."""
-    weights = np.exp([found[0].energy - s.energy for s in found])
+    weights = np.exp([(found[0].energy - s.energy) / DOUBT for s in found])
     n = int((weights > LEAST_WEIGHT).sum())
     return Rivals(tuple(tasks), tuple(found[:n]), weights[:n] / weights[:n].sum())
 
@@ -285,12 +298,20 @@ def _judged(
         seen = np.isfinite(chosen.cost)  # what lies beyond the border of C2 tells nothing
         cost = np.fmin(chosen.cost[seen] / 2, LARGEST_COST) * (len(seen) / max(1, seen.sum()))
         turns = absolute_turns(task, chosen.order, chosen.order != NO_ORDER)
-        jumps = sum(int((np.abs(np.diff(turns, axis=axis)) > CONTINUOUS).sum()) for axis in (0, 1))
-        energy += MEMORY * _change(task, chosen)
         others = np.minimum(chosen.extra / 2, LARGEST_EXTRA)
-        energy += (float(cost.sum()) + float(others.sum()) + STEP_PENALTY * jumps) / n_alike(task)
+        energy += (float(cost.sum()) + float(others.sum())) / n_alike(task)
+        energy += STEP_PENALTY * _edges_px(turns, task.grid) / EDGE_PX
+        energy += MEMORY * _change(task, chosen)
         orders.append(chosen.order)
     return Solution(bias, tuple(orders), energy)
+
+
+def _edges_px(turns: NDArray[np.float64], grid: tuple[slice, slice]) -> int:
+    """Return the length of the jumps of an absolute phase on a grid of pixels, px."""
+    return sum(
+        int((np.abs(np.diff(turns, axis=axis)) > CONTINUOUS).sum()) * grid[1 - axis].step
+        for axis in (0, 1)
+    )
 
 
 def _surprise(frame: Frame, bias: CalibrationBias, known: CalibrationBias | None) -> float:
@@ -313,20 +334,27 @@ def _from_surfaces(tasks: Sequence[Task], solution: Solution) -> Iterator[Soluti
     """Yield the solutions that one surface alone leads to."""
     chosen = [task.decide(solution.bias) for task in tasks]
     clear = [clear_ones(task, c) for task, c in zip(tasks, chosen, strict=True)]
-    candidates = []
-    for number, (task, c, where) in enumerate(zip(tasks, chosen, clear, strict=True)):
-        label = surfaces(task, c.order, where)
-        sizes = np.bincount(label) if len(label) else np.zeros(0, int)
-        candidates += [(int(sizes[k]), number, np.flatnonzero(where)[label == k])
-                       for k in np.argsort(sizes)[::-1][:N_SURFACES]]  # fmt: skip
-    n = sum(len(where) for where in clear)
-    for size, number, index in sorted(candidates, key=lambda c: -c[0])[:N_SURFACES]:
-        if size < LEAST_SURFACE * n:
-            return
+    found = [
+        (number, index)
+        for number, (task, c, where) in enumerate(zip(tasks, chosen, clear, strict=True))
+        for index in _large_surfaces(task, c, where, of=sum(map(len, clear)))
+    ]
+    for number, index in sorted(found, key=lambda one: -len(one[1]))[:N_SURFACES]:
         task = tasks[number]
         learnt = learn_bias(chosen[number].clear(task.pixels, index), tasks[0].frame,
                             start=solution.bias, n_alike=n_alike(task))  # fmt: skip
         yield _judged(tasks, learnt)
+
+
+def _large_surfaces(
+    task: Task, chosen: Choice, clear: NDArray[np.bool_], /, *, of: int | None = None
+) -> Iterator[NDArray[np.intp]]:
+    """Yield the pixels of the largest surfaces, if they are a part of all pixels or of so many."""
+    label = surfaces(task, chosen.order, clear)
+    sizes = np.bincount(label) if len(label) else np.zeros(0, int)
+    for number in np.argsort(sizes)[::-1][:N_SURFACES]:
+        if sizes[number] >= LEAST_SURFACE * (len(clear) if of is None else of):
+            yield np.flatnonzero(clear)[label == number]
 
 
 def epipolar_direction(

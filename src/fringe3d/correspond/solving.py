@@ -73,6 +73,8 @@ def _learnt_once(task: Task) -> CalibrationBias:
 
 def learnt_from(task: Task, chosen: Choice, /) -> CalibrationBias:
     """Return the bias that the clear ones of given decisions show; unknown if they are too few."""
+    if not tells_enough([task], [chosen]):
+        return nothing_known(task)
     learnt = learnt_together([task], [chosen], None)
     # It serves the pixels that show it: what is unknown of it elsewhere does not matter.
     return nothing_known(task) if learnt is None else replace(learnt, covariance_px2=None)
@@ -100,14 +102,19 @@ def clear_ones(task: Task, chosen: Choice, /) -> NDArray[np.bool_]:
     return np.asarray((chosen.probability > CLEAR) & (chosen.cost < task.limit))
 
 
+def tells_enough(tasks: Sequence[Task], chosen: Sequence[Choice], /) -> bool:
+    """Tell whether so many decisions are clear that they tell something about the rest."""
+    n_clear = sum(int(clear_ones(t, c).sum()) for t, c in zip(tasks, chosen, strict=True))
+    least = LEAST_PIXELS / PATCH_PX**2 * n_alike(tasks[0])
+    return n_clear >= max(least, LEAST_PART * sum((c.order != NO_ORDER).sum() for c in chosen))
+
+
 def learnt_together(
     tasks: Sequence[Task], chosen: Sequence[Choice], start: CalibrationBias | None, /
 ) -> CalibrationBias | None:
-    """Return the bias that the clear decisions of all tasks show; None where they are too few."""
+    """Return the bias that the clear decisions of all tasks show; None where none is clear."""
     clear = [clear_ones(task, c) for task, c in zip(tasks, chosen, strict=True)]
-    n_clear = sum(int(where.sum()) for where in clear)
-    least = LEAST_PIXELS / PATCH_PX**2 * n_alike(tasks[0])
-    if n_clear < max(least, LEAST_PART * sum((c.order != NO_ORDER).sum() for c in chosen)):
+    if not any(where.any() for where in clear):
         return None
     evidence = joined(
         [c.clear(t.pixels, where) for t, c, where in zip(tasks, chosen, clear, strict=True)]

@@ -31,7 +31,8 @@ class CalibrationBias:
     middle, scale : (3,) float; (x, y, t) are the pixel in C1 and the distance along its ray, mm,
         less `middle` and over `scale`: about -1 to 1 in image and volume
     scatter_px : float, px, >= 0; what the function leaves unexplained
-    sigma_px : float, px; how well the displacement is known, rms over image and volume
+    sigma_px : float, px; how well the displacement across the fringes is known, rms over image and
+        volume
     covariance_px2 : (18, 18) float, px^2, or None; of the coefficients, those in x first
     angle : float, rad; of the fringes: the light sheets of another direction have another bias
     source : str; what it was learnt from
