@@ -64,8 +64,8 @@ LEAST_WEIGHT = 1e-4
 EDGE_PX = 64
 """Length of a depth edge along which its jumps are alike, and count once."""
 
-MEMORY, MOTION_TURNS = 4.0 * DOUBT, 0.5
-"""Weight of the frame before: it settles what else is nearly as likely, odds of 50 to 1, and no
+MEMORY, MOTION_TURNS = 3.0 * DOUBT, 0.5
+"""Weight of the frame before: it settles what else is nearly as likely, odds of 20 to 1, and no
 more; and the periods by which a pixel's phase typically changes between two frames."""
 
 SAME_PART = 0.995
@@ -195,7 +195,7 @@ def rivals(tasks: Sequence[Task], /) -> Rivals | None:
     Notes
     -----
     The weight is ``exp(-E / 4)``, ``E = n_patches * mean(min(r^2 / 2 sigma^2, 1.2) + others)
-    + 5 edges + |c / prior|^2 / 2 + 16 change``, others being the costs of further fringes and
+    + 5 edges + |c / prior|^2 / 2 + 12 change``, others being the costs of further fringes and
     cameras, edges the length of depth edges over 64 px, change the part of the pixels whose phase
     is not that of the frame before.
     Neighbours within a patch share their errors and count once; a jump of the absolute phase
