@@ -31,7 +31,7 @@ TWIN_WARNING = 0.05
 DOUBTFUL_ORDER, DOUBTFUL_WARNING = 0.9, 0.02
 """Probability below which an order is in doubt, and the part of the points that may be."""
 
-UNDECIDED_WARNING = 0.2
+UNDECIDED_WARNING = 0.05
 """Part of the placed pixels; edges and reflections leave a few percent open everywhere."""
 
 PREVIOUS_WARNING = 0.5
@@ -125,7 +125,10 @@ def check_yield(points: PointMap, /) -> list[Finding]:
     """Judge how many of the pixels that could have a point the geometry could place."""
     undecoded = Rejection.SATURATED | Rejection.LOW_MODULATION | Rejection.INCONSISTENT_CODE
     # What fits several orders says nothing against the calibration.
-    decoded = (points.rejection & np.uint16(undecoded | Rejection.AMBIGUOUS)) == 0
+    is_open = (points.rejection & np.uint16(Rejection.AMBIGUOUS)) != 0
+    decoded = (points.rejection & np.uint16(undecoded)) == 0
+    n_open = int((decoded & is_open).sum())
+    decoded &= ~is_open
     considered = decoded & ((points.rejection & np.uint16(Rejection.OUTSIDE_VOLUME)) == 0)
     if not considered.any():
         return []
@@ -135,7 +138,7 @@ def check_yield(points: PointMap, /) -> list[Finding]:
         "the calibration (another set? R inverted?), the measuring volume or the plan does not "
         "belong to these images"
     )
-    if found < MIN_YIELD:
+    if found < MIN_YIELD and decoded.sum() > n_open:
         text = f"only {found:.2%} of the decoded pixels gave a point; {cause}"
         return [Finding("error", "lost_part", 1 - found, text)]
     text = f"{lost:.1%} of the decoded pixels have no possible point"
