@@ -106,7 +106,8 @@ def tells_enough(tasks: Sequence[Task], chosen: Sequence[Choice], /) -> bool:
     """Tell whether so many decisions are clear that they tell something about the rest."""
     n_clear = sum(int(clear_ones(t, c).sum()) for t, c in zip(tasks, chosen, strict=True))
     least = LEAST_PIXELS / PATCH_PX**2 * n_alike(tasks[0])
-    return n_clear >= max(least, LEAST_PART * sum((c.order != NO_ORDER).sum() for c in chosen))
+    n = sum(int((c.order != NO_ORDER).sum()) for c in chosen)
+    return n_clear >= max(least, LEAST_PART * n)
 
 
 def learnt_together(
