@@ -15,18 +15,17 @@ from dataclasses import replace
 from functools import cache
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from benchmarks.board_series import projected_views
 from fringe3d.calibrate import BoardOptions, DeviceSize, calibrate_board
 from fringe3d.errors import Fringe3DError
 from fringe3d.io.boardfile import read_board
-from fringe3d.model import Device, Rig, RigidTransform, Scan
+from fringe3d.model import Rig, Scan
 from fringe3d.options import MeasureOptions
 from fringe3d.patterns import across, method_plan
 from fringe3d.pipeline import measure
 from fringe3d.self_calibration import self_calibrate
-from fringe3d.simulate import OBJECTS, PRESETS, Preset, Truth, prepare, record
+from fringe3d.simulate import OBJECTS, PRESETS, Preset, Truth, knocked, prepare, record
 
 TURN_DEG, SHIFT_MM = 0.05, 0.1
 THINGS = ("machine-part", "plane", "teeth")
@@ -44,21 +43,13 @@ def main() -> None:
         print("| " + " | ".join(row) + " |", flush=True)
 
 
-def knocked(device: Device, seed: int, /) -> Device:
-    """Return a device that was turned about its centre and shifted, in random directions."""
-    axis, way = np.random.default_rng(seed).normal(size=(2, 3))
-    turn = Rotation.from_rotvec(np.radians(TURN_DEG) * axis / np.linalg.norm(axis)).as_matrix()
-    knock = RigidTransform(rotation=turn, translation=SHIFT_MM * way / np.linalg.norm(way))
-    return replace(device, device_from_world=knock @ device.device_from_world)
-
-
 def with_knocked(rig: Rig, *names: str, seed: int) -> Rig:
     """Return the rig, some of its devices knocked."""
-    moved = {d.name: knocked(d, seed + i) if d.name in names else d
-             for i, d in enumerate(rig.devices)}  # fmt: skip
-    assert rig.projector is not None
-    cameras = tuple(moved[c.name] for c in rig.cameras)
-    return replace(rig, cameras=cameras, projector=moved[rig.projector.name])
+    for number, device in enumerate(rig.devices):
+        if device.name in names:
+            rig = knocked(rig, device.name, turn_deg=TURN_DEG, shift_mm=SHIFT_MM,
+                          seed=seed + number)  # fmt: skip
+    return rig
 
 
 @cache

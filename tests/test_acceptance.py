@@ -264,6 +264,11 @@ def test_clouds_of_any_kind_of_ply_are_read(tmp_path: Path) -> None:
         ("a.ply", b"solid", "it does not begin as a PLY file does"),
         ("a.ply", b"ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nend_header\n1\n",
          "cannot read it"),
+        ("a.ply", b"ply\nelement vertex 2\nproperty float x\nend_header\n1\n", "its format is ''"),
+        ("a.ply", b"ply\nformat ascii 1.0\nelement vertex\nend_header\n", "header is damaged"),
+        ("a.ply", b"ply\nformat ascii 1.0\nend_header\n", "it says 0 vertices with"),
+        ("a.npy", b"", "cannot read it"),
+        ("a.txt", b"1,5 2,5 3,5\n", "decimal commas"),
         ("a.xyz", b"nothing here\n", "expected points, found none"),
         ("a.doc", b"1 2 3", "expected a cloud as"),
         ("a.npz", b"1 2 3", "cannot read it"),
@@ -273,3 +278,10 @@ def test_what_is_no_cloud_is_said(name: str, content: bytes, message: str, tmp_p
     (tmp_path / name).write_bytes(content)
     with pytest.raises(MethodError, match=message):
         read_cloud(tmp_path / name)
+
+
+@pytest.mark.parametrize("shape", [(3, 4), (4, 2), ()])
+def test_an_array_of_another_shape_is_no_cloud(shape: tuple[int, ...], tmp_path: Path) -> None:
+    np.save(tmp_path / "a.npy", np.zeros(shape))
+    with pytest.raises(MethodError, match="not numbers"):
+        read_cloud(tmp_path / "a.npy")

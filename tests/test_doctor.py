@@ -184,7 +184,7 @@ def test_the_command_says_what_helps_and_draws_it(
     write_scan(tmp_path / "sound", alone)
     main(["doctor", str(tmp_path / "sound")])
     assert "nothing wrong was found" in capsys.readouterr().out
-    folder, picture = tmp_path / "spoilt", tmp_path / "spoilt.png"
+    folder, picture = tmp_path / "spoilt", tmp_path / "new" / "spoilt.png"
     write_scan(folder, spoilt(alone, SPOILT["steps exchanged"][0]))
     with pytest.raises(SystemExit) as stopped:
         main(["doctor", str(folder), "--out", str(picture)])

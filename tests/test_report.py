@@ -86,6 +86,7 @@ def test_a_large_cloud_is_thinned_and_says_so(result: Path) -> None:
     ("spoil", "message"),
     [
         (lambda folder: (folder / "measure.toml").unlink(), "found no measure.toml"),
+        (lambda folder: (folder / "measure.toml").write_text(""), "measure.toml: expected summary"),
         (lambda folder: (folder / "points.npz").write_bytes(b"x"), "damaged"),
         (lambda folder: (folder / "points.npz").rename(folder / "phase.npz"), "phases alone"),
     ],
@@ -109,6 +110,15 @@ def test_a_report_is_not_overwritten_unasked(
     with pytest.raises(SystemExit):
         main(["report", str(result)])
     assert "--overwrite" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("words", [["report", "--out"], ["view", "--html"]])
+def test_a_page_does_not_replace_the_points(
+    words: list[str], result: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit):
+        main([words[0], str(result), words[1], str(result / "points.npz"), "--overwrite"])
+    assert "apart from the input" in " ".join(capsys.readouterr().err.split())
 
 
 def test_a_browser_shows_points_and_colours(result: Path) -> None:

@@ -40,7 +40,7 @@ def report(
 
     target = out or result / "report.html"
     stored = read_result(result)
-    require_writable(target, overwrite=overwrite, inputs=(result / "measure.toml",))
+    require_writable(target, overwrite=overwrite, inputs=_inputs(result))
     text = report_html(stored)
     write_text(target, text, overwrite=overwrite)
     record = {"out": str(target), "bytes": len(text.encode())}
@@ -80,17 +80,17 @@ def view(
     from fringe3d.io.atomic import require_writable, write_text
     from fringe3d.io.stored import read_result
 
-    if html is not None:
-        from fringe3d.report.measurement import cloud_html
-
-        require_writable(html, overwrite=overwrite, inputs=(result / "measure.toml",))
-        text = cloud_html(read_result(result), most_points=points)
-        write_text(html, text, overwrite=overwrite)
-        say(f"{len(text) / 1e6:.1f} MB -> {html}")
-        return
     stored = read_result(result)
     if stored.rejection.all():
         raise MethodError(f"{result}: expected points, found none. Look at overview.png")
+    if html is not None:
+        from fringe3d.report.measurement import cloud_html
+
+        require_writable(html, overwrite=overwrite, inputs=_inputs(result))
+        text = cloud_html(stored, most_points=points)
+        write_text(html, text, overwrite=overwrite)
+        say(f"{len(text) / 1e6:.1f} MB -> {html}")
+        return
     try:
         from fringe3d.view.live import LiveView
     except ModuleNotFoundError as problem:
@@ -104,3 +104,8 @@ def view(
         live.server.sleep_forever()
     except KeyboardInterrupt:
         live.server.stop()
+
+
+def _inputs(result: Path) -> list[Path]:
+    """Return the files that a page must not replace."""
+    return [result / name for name in ("measure.toml", "points.npz", "rig.toml")]

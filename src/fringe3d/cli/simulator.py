@@ -128,12 +128,15 @@ def run_simulation(options: SimulateOptions, reporter: Reporter, /) -> str:
 
 def _knocked(rig: Rig, options: SimulateOptions) -> Rig:
     """Return the rig as it was calibrated, before devices moved."""
+    names = [device.name for device in rig.devices]
     for text in options.knocks:
         name, turn_deg, shift_mm = parse_knock(text)
-        try:
-            rig = knocked(rig, name, turn_deg=turn_deg, shift_mm=shift_mm, seed=options.seed)
-        except ValueError as problem:
-            raise MethodError(f"--knock '{text}': {str(problem).removeprefix('knock: ')}") from None
+        if name not in names:
+            raise MethodError(
+                f"--knock '{text}': expected one of the devices {', '.join(names)}, found '{name}'"
+            )
+        seed = [options.seed, names.index(name)]
+        rig = knocked(rig, name, turn_deg=turn_deg, shift_mm=shift_mm, seed=seed)
     return rig
 
 

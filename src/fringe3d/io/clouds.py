@@ -23,6 +23,7 @@ PLY_TYPES = {
     "ushort": "u2", "uint16": "u2", "int": "i4", "int32": "i4", "uint": "u4", "uint32": "u4",
     "float": "f4", "float32": "f4", "double": "f8", "float64": "f8",
 }  # fmt: skip
+DECIMAL_COMMAS = re.compile(r"\d,\d+[;\s]+[-+]?\d+,\d")
 BYTE_ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">"}
 
 
@@ -86,7 +87,7 @@ def read_cloud(path: Path, /) -> CloudFile:
         )
     try:
         cloud = readers.get(kind, _from_text)(file)
-    except (OSError, ValueError, KeyError, BadZipFile, UnicodeDecodeError) as problem:
+    except (OSError, EOFError, ValueError, KeyError, BadZipFile) as problem:
         raise MethodError(
             f"{path}: expected a cloud of points, cannot read it: {problem}. Check the file"
         ) from None
@@ -105,14 +106,22 @@ def read_cloud(path: Path, /) -> CloudFile:
 
 def _from_npz(path: Path) -> CloudFile:
     with np.load(path, allow_pickle=False) as maps:
-        points = np.asarray(maps["points_mm"], np.float64).reshape(-1, 3)
+        points = _rows_of_three(maps["points_mm"])
         sigma = np.asarray(maps["sigma_mm"], np.float64).ravel() if "sigma_mm" in maps else None
         view = np.asarray(maps["camera_center_mm"]) if "camera_center_mm" in maps else None
+    if sigma is not None and len(sigma) != len(points):
+        raise ValueError(f"it holds {len(points)} points and {len(sigma)} sigmas")
     return CloudFile(points_mm=points, sigma_mm=sigma, viewpoint_mm=view)
 
 
 def _from_npy(path: Path) -> CloudFile:
-    return CloudFile(points_mm=np.load(path, allow_pickle=False).astype(np.float64).reshape(-1, 3))
+    return CloudFile(points_mm=_rows_of_three(np.load(path, allow_pickle=False)))
+
+
+def _rows_of_three(array: NDArray[Any]) -> Floats:
+    if array.shape[-1:] != (3,) or array.dtype.kind not in "iuf":
+        raise ValueError(f"it holds {array.dtype} {array.shape}, not numbers (..., 3)")
+    return np.asarray(array, np.float64).reshape(-1, 3)
 
 
 def _from_text(path: Path) -> CloudFile:
@@ -120,6 +129,8 @@ def _from_text(path: Path) -> CloudFile:
     rows = []
     with path.open(encoding="utf-8") as lines:
         for line in lines:
+            if DECIMAL_COMMAS.search(line):
+                raise ValueError("its numbers have decimal commas, not points")
             parts = re.split(r"[,;\s]+", line.strip())[:3]
             try:
                 rows.append([float(part) for part in parts])
@@ -135,8 +146,7 @@ def _from_ply(path: Path) -> CloudFile:
         raise ValueError("it does not begin as a PLY file does")
     header = raw[:end].decode("ascii", "replace").splitlines()
     body = raw[raw.index(b"\n", end) + 1 :]
-    form = next(line.split()[1] for line in header if line.startswith("format"))
-    table = _vertices(header, body, form)
+    table = _vertices(header, body)
     columns = {name: np.asarray(table[name], np.float64) for name in table.dtype.names or ()}
     normals = None
     if {"nx", "ny", "nz"} <= set(columns):
@@ -149,10 +159,31 @@ def _from_ply(path: Path) -> CloudFile:
     )
 
 
-def _vertices(header: list[str], body: bytes, form: str) -> NDArray[Any]:
+def _vertices(header: list[str], body: bytes) -> NDArray[Any]:
     """Return the vertices of a PLY file as a structured array; they must come first."""
+    try:
+        form, count, fields = _layout(header)
+    except (IndexError, KeyError):
+        raise ValueError("its header is damaged") from None
+    if count < 0 or not {"x", "y", "z"} <= {name for name, _ in fields}:
+        raise ValueError(f"it says {count} vertices with {[name for name, _ in fields]}")
+    if form == "ascii":
+        rows = body.decode("ascii").split("\n")[:count]
+        numbers = np.array([row.split()[: len(fields)] for row in rows if row.strip()], np.float64)
+        if len(numbers) < count:
+            raise ValueError(f"it says {count} vertices and holds {len(numbers)}")
+        plain = np.dtype([(name, "f8") for name, _ in fields])
+        return np.ascontiguousarray(numbers).view(plain)[:, 0] if count else np.zeros(0, plain)
+    kind = np.dtype([(name, BYTE_ORDERS[form] + code) for name, code in fields])
+    if len(body) < count * kind.itemsize:
+        raise ValueError(f"it says {count} vertices and holds {len(body) // kind.itemsize}")
+    return np.frombuffer(body, kind, count)
+
+
+def _layout(header: list[str]) -> tuple[str, int, list[tuple[str, str]]]:
+    """Return format, number of vertices and their fields (name, type)."""
     fields: list[tuple[str, str]] = []
-    count, element = 0, ""
+    form, count, element = "", 0, ""
     for words in (line.split() for line in header):
         if words[:1] == ["element"]:
             if not element and words[1] != "vertex":
@@ -163,17 +194,11 @@ def _vertices(header: list[str], body: bytes, form: str) -> NDArray[Any]:
             if words[1] == "list":
                 raise ValueError("its vertices have lists")
             fields.append((words[2], PLY_TYPES[words[1]]))
-    if form == "ascii":
-        rows = body.decode("ascii").split("\n", count)[:count]
-        numbers = np.array([row.split()[: len(fields)] for row in rows], np.float64)
-        if len(numbers) < count:
-            raise ValueError(f"it says {count} vertices and holds {len(numbers)}")
-        plain = np.dtype([(name, "f8") for name, _ in fields])
-        return np.ascontiguousarray(numbers).view(plain)[:, 0] if count else np.zeros(0, plain)
-    kind = np.dtype([(name, BYTE_ORDERS[form] + code) for name, code in fields])
-    if len(body) < count * kind.itemsize:
-        raise ValueError(f"it says {count} vertices and holds {len(body) // kind.itemsize}")
-    return np.frombuffer(body, kind, count)
+        elif words[:1] == ["format"]:
+            form = words[1]
+    if form != "ascii" and form not in BYTE_ORDERS:
+        raise ValueError(f"its format is '{form}', not ascii or binary")
+    return form, count, fields
 
 
 def _viewpoint(header: list[str]) -> Floats | None:

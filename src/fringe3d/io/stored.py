@@ -15,6 +15,11 @@ from fringe3d.errors import MethodError
 from fringe3d.io.rigfile import read_rig
 from fringe3d.model import Rejection, Rig
 
+MAPS = ("points_mm", "sigma_mm", "skew_mm", "offset", "modulation", "order_probability")
+RECORD = ("summary", "time", "versions", "method", "why_this_method", "images_used", "images",
+          "decoding", "health", "options", "seconds")  # fmt: skip
+"""What every result holds in ``points.npz`` and ``measure.toml``."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class StoredResult:
@@ -61,6 +66,8 @@ def read_result(folder: Path, /) -> StoredResult:
             maps = {name: stored[name] for name in stored.files}
         names = [str(name) for name in maps.pop("rejection_names")]
         _require_maps(maps, names)
+        if missing_keys := [key for key in RECORD if key not in record]:
+            raise ValueError(f"measure.toml: expected {', '.join(missing_keys)}")
     except FileNotFoundError as problem:
         missing = Path(str(problem.filename)).name
         raise MethodError(
@@ -81,6 +88,6 @@ def _require_maps(maps: dict[str, NDArray[Any]], names: list[str]) -> None:
     if names != known[: len(names)]:
         raise ValueError(f"rejection_names: expected {known}, found {names}")
     shape = maps["rejection"].shape
-    for name in ("points_mm", "sigma_mm", "offset", "modulation", "order_probability"):
-        if maps[name].shape[:2] != shape or len(shape) != 2:
+    for name in MAPS:
+        if len(shape) != 2 or maps[name].shape != shape + (3,) * (name == "points_mm"):
             raise ValueError(f"{name}: expected a map of {shape}, found {maps[name].shape}")

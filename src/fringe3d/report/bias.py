@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from fringe3d.model import CalibrationBias, Device
+from fringe3d.report.saving import save_figure
 
 N_ARROWS = (9, 12)
 """Rows and columns."""
@@ -43,6 +44,4 @@ def write_bias_picture(path: Path, bias: CalibrationBias, camera: Device, /, *, 
     panels[0].set_ylabel("y in C1 (px)")
     figure.colorbar(arrows, ax=panels, label="displacement in C2 (px)", shrink=0.9)
     figure.suptitle(f"{title}: {bias.rms_px:.2f} px rms, known to {bias.sigma_px:.2f} px")
-    aside = path.with_name(f".{path.name}.partial")
-    figure.savefig(aside, format="png")
-    aside.replace(path)
+    save_figure(path, figure, overwrite=True)

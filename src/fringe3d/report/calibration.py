@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -16,11 +15,11 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from fringe3d.calibrate import FittedProjector, LitPoints, rests
-from fringe3d.errors import OutputError
 from fringe3d.health import Finding, axis_name
-from fringe3d.io.atomic import require_writable, write_text
+from fringe3d.io.atomic import write_text
 from fringe3d.io.rigfile import rig_text
 from fringe3d.model import Rig
+from fringe3d.report.saving import save_figure
 
 Floats = NDArray[np.float64]
 
@@ -202,26 +201,22 @@ def write_projector(
         If something is there already, or cannot be written.
     """
     picture, report, rig_file = targets_of(out)
-    require_writable(picture, overwrite=overwrite)
     warnings = [f["text"] for f in record["health"] if f["level"] != "ok"]
     title = projector_text(record).splitlines()
-    aside = picture.with_name(f".{picture.name}.partial")
-    try:
-        picture.parent.mkdir(parents=True, exist_ok=True)
-        draw_residuals(aside, fitted, scans, title="\n".join(title[:2]))
-        aside.replace(picture)
-    except OSError as problem:
-        raise OutputError(f"{picture}: cannot be written: {problem}") from problem
-    finally:
-        with suppress(OSError):
-            aside.unlink()
+    draw_residuals(picture, fitted, scans, title="\n".join(title[:2]), overwrite=overwrite)
     text = projector_markdown(record, command=command, picture=picture.name, warnings=warnings)
     write_text(report, text, overwrite=overwrite)
     write_text(rig_file, rig_text(rig), overwrite=overwrite)
 
 
 def draw_residuals(
-    path: Path, fitted: FittedProjector, scans: Sequence[LitPoints], /, *, title: str
+    path: Path,
+    fitted: FittedProjector,
+    scans: Sequence[LitPoints],
+    /,
+    *,
+    title: str,
+    overwrite: bool = False,
 ) -> None:
     """Draw what is left of each scan and direction over the pixels of C1, and its histogram.
 
@@ -248,7 +243,7 @@ def draw_residuals(
         _draw_map(row[0], picture, limit, name)
         _draw_map(row[1], _means(picture), smooth_limit, f"mean of {SMOOTH_PX} x {SMOOTH_PX} px")
         _draw_histogram(row[2], residual[np.isfinite(residual)], limit)
-    figure.savefig(path, format="png")
+    save_figure(path, figure, overwrite=overwrite)
 
 
 def _short(name: str) -> str:

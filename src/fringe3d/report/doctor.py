@@ -10,6 +10,7 @@ import numpy as np
 
 from fringe3d.health import Fault, lit_map
 from fringe3d.model import Fringe, GrayBit, ImageStack, Pattern, Scan, Uniform
+from fringe3d.report.saving import save_figure
 
 N_COLUMNS, WIDTH_PX = 8, 240
 
@@ -43,9 +44,7 @@ def write_doctor_picture(path: Path, scan: Scan, faults: Sequence[Fault], /, *, 
     said = dict.fromkeys(f"{fault.kind.value}: {fault.cure}" for fault in faults)
     figure.suptitle("\n".join([title, *said] if said else [title, SOUND]), fontsize=10)
     figure.tight_layout(rect=(0, 0, 1, 0.995))
-    aside = path.with_name(f".{path.name}.partial")
-    figure.savefig(aside, format="png")
-    aside.replace(path)
+    save_figure(path, figure, overwrite=True)
 
 
 def _draw(panels: Any, stack: ImageStack, concerned: set[int]) -> None:

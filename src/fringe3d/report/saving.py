@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
@@ -16,13 +15,9 @@ def save_figure(path: Path, figure: Figure, /, *, overwrite: bool) -> None:
     """Write a picture, completely or not at all."""
     require_writable(path, overwrite=overwrite)
     aside = path.with_name(f".{path.name}.partial")
-    _try_writing(path, aside, lambda: figure.savefig(aside, format="png"))
-
-
-def _try_writing(path: Path, aside: Path, write: Callable[[], object]) -> None:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        write()
+        figure.savefig(aside, format="png")
         aside.replace(path)
     except OSError as problem:
         raise OutputError(f"{path}: cannot be written: {problem}") from problem

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -10,7 +11,9 @@ from scipy.spatial.transform import Rotation
 from fringe3d.model import Rig, RigidTransform
 
 
-def knocked(rig: Rig, name: str, /, *, turn_deg: float, shift_mm: float, seed: int) -> Rig:
+def knocked(
+    rig: Rig, name: str, /, *, turn_deg: float, shift_mm: float, seed: int | Sequence[int]
+) -> Rig:
     """Return a rig with one device turned about its centre and shifted, in random directions.
 
     Parameters
@@ -19,7 +22,7 @@ def knocked(rig: Rig, name: str, /, *, turn_deg: float, shift_mm: float, seed: i
     name : str; the device
     turn_deg : float, deg
     shift_mm : float, mm
-    seed : int; of the directions
+    seed : int, or several; of the directions, as of ``numpy.random.default_rng``
 
     Raises
     ------
@@ -37,7 +40,7 @@ def knocked(rig: Rig, name: str, /, *, turn_deg: float, shift_mm: float, seed: i
     names = [device.name for device in rig.devices]
     if name not in names:
         raise ValueError(f"knock: expected one of the devices {', '.join(names)}, found '{name}'")
-    axis, way = np.random.default_rng([seed, names.index(name)]).normal(size=(2, 3))
+    axis, way = np.random.default_rng(seed).normal(size=(2, 3))
     turn = Rotation.from_rotvec(np.radians(turn_deg) * axis / np.linalg.norm(axis)).as_matrix()
     knock = RigidTransform(rotation=turn, translation=shift_mm * way / np.linalg.norm(way))
     moved = [replace(d, device_from_world=knock @ d.device_from_world) if d.name == name else d
