@@ -46,8 +46,13 @@ class CloudFile:
 
     @property
     def noise_mm(self) -> Floats | None:
-        """Return standard deviations as vectors along the viewing rays, (n, 3) mm, or None."""
+        """Return standard deviations as vectors along the viewing rays, (n, 3) mm.
+
+        None where they, or the viewpoint, are not known (all of them).
+        """
         if self.sigma_mm is None or self.viewpoint_mm is None:
+            return None
+        if not np.isfinite(self.sigma_mm).all():
             return None
         rays = self.points_mm - self.viewpoint_mm
         rays /= np.linalg.norm(rays, axis=1, keepdims=True)
