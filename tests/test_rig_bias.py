@@ -223,7 +223,7 @@ def matches_of(n_accepted: int, n_ambiguous: int, n_hidden: int) -> Corresponden
     )
 
 
-@pytest.mark.parametrize(("n_ambiguous", "level"), [(0, "ok"), (19, "ok"), (21, "warning")])
+@pytest.mark.parametrize(("n_ambiguous", "level"), [(0, "ok"), (4, "ok"), (6, "warning")])
 def test_open_orders_are_told(n_ambiguous: int, level: str) -> None:
     (finding,) = check_evidence(matches_of(100 - n_ambiguous, n_ambiguous, 500), 1)
     assert (finding.level, finding.name) == (level, "undecided_part")

@@ -31,7 +31,7 @@ REACH_PX, STEP_PX = 6.0, 1.2
 """In the second camera: how far its points may have moved together (0.1 degrees at 3400 px, each
 way), and a step after which the evidence still finds its way."""
 
-LEAST_CERTAINTY = 0.99
+LEAST_CERTAINTY = 0.95
 
 STEP = 16
 """Rows and columns of pixels whose rays show in which direction points move."""

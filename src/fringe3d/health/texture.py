@@ -42,9 +42,10 @@ TEXTURE_CLEAR = 0.12
 CORRELATION = "correlation"
 """Key of the figure: of the texture, at the matched points."""
 
-PEAK_WIDTH_PX = 10
-"""Half of it; a peak stands for a match only if no other shift comes as near to it as the matched
-points may: the slow shading of a small round body gives several low ones."""
+PEAK_WIDTH_PX, PEAK_CLEAR, PEAK_SURE = 10, 0.06, 0.4
+"""Half of the width of a peak. It stands for a match if it is sure, or if those at other shifts are
+lower by more than their uncertainty: the slow shading of a small round body gives several low ones.
+"""
 
 TEXTURE_MIN_SIGNAL = 4.0
 FINE_FILTER_PIXELS = 4 * np.pi
@@ -110,8 +111,9 @@ class TextureTile:
     @property
     def lies_elsewhere(self) -> bool:
         """Tell whether the textures agree clearly better beside the epipolar curves."""
-        second = max(self.here, self.rival)
-        return self.best >= TEXTURE_MIN_PEAK and self.best - second > TEXTURE_CLEAR
+        is_peak = self.best >= PEAK_SURE or self.best - self.rival > PEAK_CLEAR
+        is_better = self.best - self.here > TEXTURE_CLEAR
+        return self.best >= TEXTURE_MIN_PEAK and is_peak and is_better
 
 
 def texture_signal(phases: PhaseMap, /) -> float:
