@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,11 +15,13 @@ from scipy import ndimage
 from changed_rigs import turned
 from closed_form import Recording, SphereScene, Truth, record_scene, simulate
 from fringe3d.errors import CalibrationError, EmptyResultError, MethodError
+from fringe3d.health import check_yield
 from fringe3d.methods import choose_method
 from fringe3d.model import (
     Device,
     ImageStack,
     PatternPlan,
+    PointMap,
     Rejection,
     Rig,
     RigidTransform,
@@ -27,6 +31,7 @@ from fringe3d.model.rejection import count_by_reason
 from fringe3d.options import Direction, keep_images
 from fringe3d.patterns import sequence
 from fringe3d.pipeline import Measurement, MeasureOptions, measure, point_cloud
+from fringe3d.report.folder import write_result
 
 Floats = NDArray[np.float64]
 
@@ -626,3 +631,32 @@ def test_plan_without_fringes_or_code_raises(recording: Recording) -> None:
     stacks = tuple(replace(s, images=s.images[:2], plan=plan) for s in recording[0].stacks)
     with pytest.raises(MethodError, match="nothing to decode"):
         measure(replace(recording[0], stacks=stacks))
+
+
+def open_everywhere(points: PointMap) -> PointMap:
+    """Return the map with all of its points left open."""
+    rejection = np.where(points.is_valid, np.uint16(Rejection.AMBIGUOUS), points.rejection)
+    return PointMap(
+        points_mm=np.full(points.points_mm.shape, np.nan),
+        sigma_mm=np.full(points.sigma_mm.shape, np.nan, np.float32),
+        skew_mm=np.full(points.skew_mm.shape, np.nan, np.float32),
+        rejection=rejection.astype(np.uint16),
+    )
+
+
+def test_a_result_without_points_is_written(
+    recording: Recording, measured: Measurement, tmp_path: Path
+) -> None:
+    assert measured.points is not None
+    nothing = replace(measured, points=open_everywhere(measured.points))
+    write_result(tmp_path / "out", recording[0], MeasureOptions(), nothing)
+    record = tomllib.loads((tmp_path / "out" / "measure.toml").read_text())
+    assert record["summary"].startswith("no points of 81,920 pixels")
+    assert record["pixels"]["accepted"] == 0
+    assert b"element vertex 0\n" in (tmp_path / "out" / "cloud.ply").read_bytes()
+    assert (tmp_path / "out" / "overview.png").stat().st_size > 10_000
+
+
+def test_open_pixels_do_not_accuse_the_calibration(measured: Measurement) -> None:
+    assert measured.points is not None
+    assert check_yield(open_everywhere(measured.points)) == []

@@ -339,7 +339,7 @@ def point_cloud(result: Measurement, /) -> PointCloud:
     assert result.points is not None
     good = result.points.is_valid
     offset = np.nan_to_num(result.main.offset[good])
-    top = max(float(np.percentile(offset, 99)), 1.0)
+    top = max(float(np.percentile(offset, 99)), 1.0) if len(offset) else 1.0
     return PointCloud(
         points_mm=result.points.points_mm[good],
         sigma_mm=result.points.sigma_mm[good],

@@ -138,7 +138,9 @@ def check_yield(points: PointMap, /) -> list[Finding]:
         "the calibration (another set? R inverted?), the measuring volume or the plan does not "
         "belong to these images"
     )
-    if found < MIN_YIELD and decoded.sum() > n_open:
+    if found < MIN_YIELD and decoded.sum() <= n_open:
+        return []
+    if found < MIN_YIELD:
         text = f"only {found:.2%} of the decoded pixels gave a point; {cause}"
         return [Finding("error", "lost_part", 1 - found, text)]
     text = f"{lost:.1%} of the decoded pixels have no possible point"

@@ -147,6 +147,8 @@ def summary(result: Measurement, /) -> str:
             f"phase maps only (no rig): {n_phases:,} of {total:,} pixels decoded, "
             f"{len(result.phases[0].directions)} direction(s)"
         )
+    if not result.points.is_valid.any():
+        return f"no points of {total:,} pixels by method {result.method}: all were rejected"
     depth = result.points.points_mm[..., 2][result.points.is_valid]
     sigma = float(np.median(result.points.sigma_mm[result.points.is_valid]))
     return (
