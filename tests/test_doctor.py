@@ -157,6 +157,15 @@ def test_a_sound_recording_has_no_fault(recording: Recording, alone: Scan) -> No
     assert diagnose(recording[0]).faults == ()
 
 
+def test_a_reduced_code_without_the_size_of_the_projector_has_no_fault(rig: Rig) -> None:
+    """It comes back every eight periods, which only the projector's size would tell beforehand."""
+    one = replace(rig, cameras=rig.cameras[:1])
+    scan, _ = record_scene(one, SphereScene(), seed=SEED, light_dark=True, gray_bits=3)
+    (stack,) = scan.stacks
+    unknown = replace(stack, plan=replace(stack.plan, projector_shape=None))
+    assert check_sequence(unknown, lit_map(unknown)) == []
+
+
 def test_a_wrong_calibration_is_told_from_exchanged_cameras(recording: Recording) -> None:
     scan, _ = recording
     assert scan.rig is not None

@@ -183,6 +183,7 @@ def _places(
     if plan.projector_shape is not None:
         low, high = extent_px(plan.projector_shape, angle)
     is_cyclic = 0 < span < (high - low) * (1 - EDGE_TOLERANCE)
+    is_cyclic |= span > 0 and plan.projector_shape is None  # the code may be a reduced one
     if is_cyclic:
         low, high = 0.0, span
     n = min(MOST_PLACES, round((high - low) / step))
