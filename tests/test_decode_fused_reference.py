@@ -28,5 +28,7 @@ def plain(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_the_plain_decoder_is_what_is_tested(monkeypatch: pytest.MonkeyPatch) -> None:
     """Without the compiled one they must work as well."""
     monkeypatch.setattr("fringe3d.decode.fused._fused.decode_pixels", None)
+    assert vars(test_decode_phase)["wrapped_phase"].keywords == {"plain": True}
+    assert vars(test_decode_code)["decode"].keywords == {"plain": True}
     test_decode_phase.test_tiny_images_decode_to_the_true_phase((2, 2), 4)
     test_decode_code.test_saturated_and_dark_pixels_have_no_order()

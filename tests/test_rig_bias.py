@@ -261,9 +261,9 @@ def test_nothing_matched_is_no_doubt() -> None:
 # --- learning ------------------------------------------------------------------------------------
 
 
-def scan_of(rig: Rig, n_stacks: int = 2) -> Scan:
+def scan_of(rig: Rig, n_stacks: int = 2, *, angle: float = 0.0) -> Scan:
     """Return four images without any light."""
-    plan = PatternPlan(patterns=tuple(Fringe(period_px=16.0, shift=k * np.pi / 2, angle=0.0)
+    plan = PatternPlan(patterns=tuple(Fringe(period_px=16.0, shift=k * np.pi / 2, angle=angle)
                                       for k in range(4)))  # fmt: skip
     stacks = tuple(
         ImageStack(images=np.full((4, HEIGHT, WIDTH), 5, np.uint8), plan=plan,
@@ -295,6 +295,31 @@ def test_a_rig_that_lacks_something_is_refused(rig: Rig, missing: str, found: st
 def test_a_scan_of_one_camera_is_refused(rig: Rig) -> None:
     with pytest.raises(MethodError, match=r"scan 'a dark room': .*two cameras, found 1\. Record"):
         learn_rig_bias([scan_of(rig, 1)], rig)
+
+
+def test_scans_of_other_cameras_or_fringes_are_refused(rig: Rig) -> None:
+    """A bias belongs to the first two cameras, and to one direction."""
+    scan = scan_of(rig)
+    swapped = replace(scan, stacks=scan.stacks[::-1])
+    with pytest.raises(MethodError, match=r"expected images of 'c1' and 'c2' first, .*'c2' and"):
+        learn_rig_bias([scan, swapped], rig)
+    with pytest.raises(MethodError, match=r"expected fringes at 0 deg as .*, found 30 deg"):
+        learn_rig_bias([scan, scan_of(rig, angle=np.radians(30))], rig)
+
+
+def test_a_bias_is_left_out_for_another_pair_of_cameras(recording: Recording) -> None:
+    """With C1 and C2 exchanged it is learnt anew, and no warning is due."""
+    scan = recording[0]
+    assert scan.rig is not None
+    far_off = replace(learn_rig_bias([scan], scan.rig).bias, scatter_px=0.0)
+    coefficients = far_off.coefficients_px.copy()
+    coefficients[:, 0] += 5.0
+    rig = replace(scan.rig, bias=replace(far_off, coefficients_px=coefficients))
+    exchanged = measure(
+        replace(scan, stacks=scan.stacks[::-1], rig=rig), MeasureOptions(method="m2")
+    )
+    assert exchanged.bias is not None
+    assert exchanged.bias.rms_px < 0.5
 
 
 def test_a_dark_room_tells_nothing(rig: Rig) -> None:

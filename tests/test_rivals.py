@@ -24,7 +24,7 @@ from closed_phases import (
 from cv_lens import cv_project
 from fringe3d.correspond import Rivals, Task, TwoViews, coarse_stride, rivals
 from fringe3d.correspond.candidates import ChosenOrders
-from fringe3d.correspond.solutions import Solution, weighed
+from fringe3d.correspond.solutions import Solution, edges_px, epipolar_direction, weighed
 from fringe3d.model import NO_ORDER, CalibrationBias, Rejection, Rig
 
 pytestmark = pytest.mark.usefixtures("one_thread")
@@ -328,6 +328,34 @@ def test_nothing_decoded_tells_nothing() -> None:
     dark = np.full(views.phases1.rejection.shape, np.uint16(Rejection.LOW_MODULATION))
     dark_views = replace(views, phases1=views.phases1.rejecting(dark))
     assert (choose(rig, dark_views, search=True).phases.rejection > 0).all()
+
+
+def test_an_edge_counts_by_its_length_whatever_the_grid() -> None:
+    """A corner with sides of 12 and 36 px, and a step along a column of 60."""
+    rows, cols = np.indices((60, 80))
+    for down, right in ((1, 1), (4, 2), (2, 4), (3, 1)):
+        grid = slice(None, None, down), slice(None, None, right)
+        corner = np.where((rows >= 24) & (cols < 12), 3.0, 0.0)
+        strip = np.where(cols >= 40, 1.0, 0.0)
+        assert edges_px(corner[grid], grid) == 12 + 36
+        assert edges_px(strip[grid], grid) == 60
+
+
+@pytest.mark.parametrize("roll_deg", [0.0, 90.0, -30.0])
+def test_the_epipolar_way_turns_with_the_second_camera(roll_deg: float) -> None:
+    rig = small_rig()
+    c1, c2 = rig.cameras
+    c2 = turned(c2, "z", roll_deg)
+    pixels = grid_of(c1)[::16, ::16].reshape(-1, 2)
+    way = epipolar_direction(c1, c2, pixels, 335.0)
+    away = pixels - c1.center_px
+    rays = np.column_stack([away / c1.focal_px, np.ones(len(pixels))])
+    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+    rotation, center = c1.device_from_world.rotation, c1.center_world
+    near, far = (cv_project(c2, center + t * rays @ rotation) for t in (330.0, 340.0))
+    expected = (far - near).mean(axis=0)
+    expected /= np.linalg.norm(expected)
+    assert way @ expected > np.cos(np.radians(2.0))  # C1's distortion is left out here
 
 
 # --- by hand ---------------------------------------------------------------------------------

@@ -154,10 +154,7 @@ def measure(
     with clock("decoding"):
         phases = tuple(_decode(stack, scan.rig, choice.method, options) for stack in stacks)
         findings = check_files(stacks) + check_phases(phases)
-        phases = tuple(
-            filtered_camera(camera, options.filter, is_first=i == 0)
-            for i, camera in enumerate(phases)
-        )
+        phases = _filtered(phases, options)
         if scan.rig is not None and choice.method != "projector":
             phases = best_direction_first(phases, *_devices(scan.rig, stacks, choice.method))
     main = phases[0].directions[0].main
@@ -200,6 +197,15 @@ def measure(
         result, matches=matches, points=points, bias=matched.bias, findings=tuple(findings)
     )
     return _finish(result, clock)
+
+
+def _filtered(
+    phases: tuple[CameraPhases, ...], options: MeasureOptions
+) -> tuple[CameraPhases, ...]:
+    """Return the phases filtered; those of the first camera are looked at in its pixels alone."""
+    return tuple(
+        filtered_camera(camera, options.filter, is_first=i == 0) for i, camera in enumerate(phases)
+    )
 
 
 def _check_cameras(

@@ -6,7 +6,7 @@ import shlex
 import sys
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
@@ -24,6 +24,9 @@ from fringe3d.cli import (
 )
 from fringe3d.cli.console import Reporter, say
 from fringe3d.cli.parameters import Json, Overwrite, app, at_least
+
+if TYPE_CHECKING:  # the commands import what they need when they run
+    from fringe3d.pipeline import Measurement
 
 __all__ = [
     "app",
@@ -157,6 +160,17 @@ def measure(
         reporter.stage("writing")
         write_result(out, recording, options, result, request=request, own_poses=found,
                      overwrite=overwrite)  # fmt: skip
+    _tell(result, reporter)
+    if found is not None:
+        for finding in check_poses(found.fitted):
+            (reporter.note if finding.level == "ok" else reporter.warn)(finding.text)
+    record = measure_record(recording, options, result, request=request, own_poses=found)
+    record |= {"out": str(out)}
+    say(f"{summary(result)} -> {out}", record, as_json=as_json)
+
+
+def _tell(result: Measurement, reporter: Reporter) -> None:
+    """Say how it was measured, and what is to be watched."""
     if result.method != "phase":
         reporter.note(f"method {result.method} with {result.n_images} images: {result.why}")
     if result.method == "m6":  # whose orders rest on it
@@ -165,12 +179,6 @@ def measure(
                 reporter.note(finding.text)
     for finding in result.warnings:
         reporter.warn(finding.text)
-    if found is not None:
-        for finding in check_poses(found.fitted):
-            (reporter.note if finding.level == "ok" else reporter.warn)(finding.text)
-    record = measure_record(recording, options, result, request=request, own_poses=found)
-    record |= {"out": str(out)}
-    say(f"{summary(result)} -> {out}", record, as_json=as_json)
 
 
 @app.command(name="import")

@@ -300,13 +300,13 @@ def _judged(
         turns = absolute_turns(task, chosen.order, chosen.order != NO_ORDER)
         others = np.minimum(chosen.extra / 2, LARGEST_EXTRA)
         energy += (float(cost.sum()) + float(others.sum())) / n_alike(task)
-        energy += STEP_PENALTY * _edges_px(turns, task.grid) / EDGE_PX
+        energy += STEP_PENALTY * edges_px(turns, task.grid) / EDGE_PX
         energy += MEMORY * _change(task, chosen)
         orders.append(chosen.order)
     return Solution(bias, tuple(orders), energy)
 
 
-def _edges_px(turns: NDArray[np.float64], grid: tuple[slice, slice]) -> int:
+def edges_px(turns: NDArray[np.float64], grid: tuple[slice, slice]) -> int:
     """Return the length of the jumps of an absolute phase on a grid of pixels, px."""
     return sum(
         int((np.abs(np.diff(turns, axis=axis)) > CONTINUOUS).sum()) * grid[1 - axis].step

@@ -58,6 +58,19 @@ def slope(phase, row, col, down, right):  # type: ignore[no-untyped-def]
     return total / max(n, 1)
 
 
+@njit(cache=True, error_model="numpy")
+def first_variance(lower, work):  # type: ignore[no-untyped-def]
+    """Return the first number on the diagonal of the inverse of L L^T, as `solved` leaves L."""
+    variance = 0.0
+    for i in range(TERMS):
+        total = 1.0 if i == 0 else 0.0
+        for k in range(i):
+            total -= lower[i, k] * work[k]
+        work[i] = total / lower[i, i]
+        variance += work[i] * work[i]
+    return variance
+
+
 @njit(cache=True, nogil=True, error_model="numpy")
 def smooth(phase, sigma, radii, gate, least, filtered, sigma_filtered, rows):  # type: ignore[no-untyped-def]
     """Write the value of a parabola through the neighbours of each pixel, (row, col) rad.
@@ -119,17 +132,7 @@ def smooth(phase, sigma, radii, gate, least, filtered, sigma_filtered, rows):  #
                 value[5] += weight[5] * scale * scale
             if not good or abs(value[0]) > limit:
                 continue
-            # normal holds L: the variance of the middle is that of the first row of its inverse.
-            right[:] = 0.0
-            right[0] = 1.0
-            for i in range(TERMS):
-                total = right[i]
-                for k in range(i):
-                    total -= normal[i, k] * right[k]
-                right[i] = total / normal[i, i]
-            variance = 0.0
-            for i in range(TERMS):
-                variance += right[i] * right[i]
+            variance = first_variance(normal, right)
             if variance < 1.0:
                 filtered[row, col] = here + f4(value[0])
                 sigma_filtered[row, col] = noise * math.sqrt(variance)

@@ -104,11 +104,24 @@ def _replace(aside: Path, target: Path) -> None:
 
 def write_text(target: Path, text: str, /, *, overwrite: bool = False) -> None:
     """Write a text file aside, then rename it."""
+    with new_file(target, overwrite=overwrite) as aside:
+        aside.write_text(text, encoding="utf-8")
+
+
+@contextmanager
+def new_file(target: Path, /, *, overwrite: bool = False) -> Iterator[Path]:
+    """Give the path of a file to write aside, which then gets the name `target`.
+
+    Raises
+    ------
+    OutputError
+        If the file exists and must not be replaced, or cannot be written.
+    """
     require_writable(target, overwrite=overwrite)
     aside = target.with_name(f".{target.name}.partial")
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
-        aside.write_text(text, encoding="utf-8")
+        yield aside
         aside.replace(target)
     except OSError as problem:
         raise OutputError(f"{target}: cannot be written: {problem}") from problem
