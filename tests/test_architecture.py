@@ -103,6 +103,7 @@ ALLOWED: dict[str, set[str]] = {
     "view": NOUNS | {"geometry", "io", "options", "patterns", "report"},
     "cli": NOUNS
     | {
+        "decode",
         "correspond",
         "board_scans",
         "calibrate",

@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 
 from fringe3d.cli import main
 from fringe3d.errors import PlanError
-from fringe3d.io.scanfile import FringesTable, GrayTable, plan_text, read_plan
+from fringe3d.io.scanfile import plan_text, read_plan
+from fringe3d.io.sequencefile import FringesTable, GrayTable
 from fringe3d.model import Fringe, GrayBit, Pattern, PatternPlan, Uniform, Unused
 from fringe3d.model.plan import fringes, gray_code
 from fringe3d.patterns import (
@@ -488,10 +489,8 @@ class TestPlanFile:
         text = plan_text(sequence((90, 200), periods_px=(16.0,), n_shifts=8, inverses=True))
         assert text.count("[[sequence]]") == 2
 
-    def test_grey_level_that_the_file_cannot_say_is_refused(self) -> None:
-        plan = PatternPlan(patterns=(Uniform(level=0.5),))
-        with pytest.raises(PlanError, match="expected light and dark as uniform images"):
-            plan_text(plan)
+    def test_a_grey_level_is_said(self) -> None:
+        assert "levels = [0.5]" in plan_text(PatternPlan(patterns=(Uniform(level=0.5),)))
 
 
 class TestForeignFringes:

@@ -51,6 +51,8 @@ class MeasureOptions:
         AMBIGUOUS; 0 takes the best that fits. None is 0.9, and 0.99 if strict
     filter : "none", "light", "medium" or "strong"; less noise of the phases, see
         `fringe3d.decode.filtering`
+    own_response : bool; take out of the phases what a nonlinear response (gamma) does to them, as
+        these images show it; else that of the stacks
     """
 
     method: Method = "auto"
@@ -64,6 +66,7 @@ class MeasureOptions:
     min_modulation_dn: float | None = None
     min_order_probability: float | None = None
     filter: Filter = "none"
+    own_response: bool = False
 
 
 def keep_images(stack: ImageStack, options: MeasureOptions, /) -> ImageStack:

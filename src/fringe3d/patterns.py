@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fringe3d.model import Fringe, GrayBit, Pattern, PatternPlan, Uniform
+from fringe3d.model import Fringe, GrayBit, Pattern, PatternPlan, Response, Uniform
 from fringe3d.model.plan import fringes, gray_code
 
 EDGE_TOLERANCE = 1e-9
@@ -78,7 +78,12 @@ def intensity(pattern: Pattern, x: ArrayLike, y: ArrayLike, /) -> NDArray[np.flo
 
 
 def pattern_image(
-    pattern: Pattern, shape: tuple[int, int], /, *, bit_depth: int = 8
+    pattern: Pattern,
+    shape: tuple[int, int],
+    /,
+    *,
+    bit_depth: int = 8,
+    response: Response | None = None,
 ) -> NDArray[np.unsignedinteger[Any]]:
     """Return a pattern as the projector's image, sampled at its pixel centres.
 
@@ -87,13 +92,17 @@ def pattern_image(
     pattern : Pattern
     shape : (n_rows, n_cols) of the projector
     bit_depth : 8 or 16
+    response : Response with a curve, or None; what brings the wanted brightness is shown
 
     Returns
     -------
     (row, col) uint8 or uint16; full scale is bright
     """
     rows, cols = np.ogrid[: shape[0], : shape[1]]
-    values = np.broadcast_to(intensity(pattern, cols, rows), shape)
+    values = intensity(pattern, cols, rows)
+    if response is not None:
+        values = np.interp(values, response.values, response.levels)
+    values = np.broadcast_to(values, shape)
     dtype = np.uint8 if bit_depth == 8 else np.uint16
     return np.round(values * np.iinfo(dtype).max).astype(dtype)
 
@@ -162,6 +171,7 @@ def sequence(
     gray_bits: int | None = None,
     inverses: bool = False,
     light_dark: bool = False,
+    n_ramp: int = 0,
 ) -> PatternPlan:
     """Compose a plan for a projector from fringes, Gray code and uniform images.
 
@@ -178,6 +188,7 @@ def sequence(
         Number of periods told apart is ``2**gray_bits`` (cyclic if that is fewer than there
         are); all of them if None. A complementary code has one image more.
     inverses, light_dark : bool; thresholds for the code, besides the mean of the fringes
+    n_ramp : int; grey levels from dark to light, which show the response; 0 for none
 
     Raises
     ------
@@ -209,9 +220,24 @@ def sequence(
             cell = periods_px[0] / (1 + extra)
             bits = min(gray_bits or enough, enough) + extra
             patterns += gray_code(cell, bits, angle=angle, inverses=inverses)
-    if light_dark:
+    if n_ramp:
+        patterns += grey_ramp(n_ramp)
+    elif light_dark:
         patterns += [Uniform(level=1.0), Uniform(level=0.0)]
     return PatternPlan(patterns=tuple(patterns), projector_shape=shape)
+
+
+def grey_ramp(n_levels: int, /) -> tuple[Uniform, ...]:
+    """Return uniform images of evenly spaced levels from dark to light.
+
+    Examples
+    --------
+    >>> [pattern.level for pattern in grey_ramp(3)]
+    [0.0, 0.5, 1.0]
+    """
+    if n_levels < 3:
+        raise ValueError(f"plan: expected at least 3 levels of a grey ramp, found {n_levels}")
+    return tuple(Uniform(level=float(level)) for level in np.linspace(0, 1, n_levels))
 
 
 def _require_visible(periods_px: Sequence[float], n_shifts: int) -> None:

@@ -11,7 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fringe3d.correspond import twin_share
-from fringe3d.decode import CameraPhases, decode, decode_apart, filtered_camera
+from fringe3d.decode import (
+    CameraPhases,
+    decode,
+    decode_apart,
+    filtered_camera,
+    response_from_fringes,
+)
 from fringe3d.devices_moved import check_moved
 from fringe3d.errors import CalibrationError, EmptyResultError, Fringe3DError, MethodError
 from fringe3d.health import (
@@ -152,6 +158,8 @@ def measure(
     stacks = [images_of(choice, stack, scan.rig, volume, options) for stack in stacks]
 
     with clock("decoding"):
+        if options.own_response:
+            stacks = [stack.with_response(response_from_fringes(stack)) for stack in stacks]
         phases = tuple(_decode(stack, scan.rig, choice.method, options) for stack in stacks)
         findings = check_files(stacks) + check_phases(phases)
         phases = _filtered(phases, options)

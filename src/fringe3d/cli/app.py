@@ -18,6 +18,7 @@ from fringe3d.cli import (
     evaluating,
     exporting,
     planning,
+    responding,
     self_calibrating,
     showing,
     simulated,
@@ -37,6 +38,7 @@ __all__ = [
     "evaluating",
     "exporting",
     "planning",
+    "responding",
     "self_calibrating",
     "showing",
     "simulated",
@@ -64,6 +66,7 @@ def measure(
     filter_: Annotated[
         Literal["none", "light", "medium", "strong"], Parameter(name="--filter")
     ] = "none",
+    response: Path | None = None,
     previous: Path | None = None,
     self_calibrate: Annotated[bool, Parameter(negative=())] = False,
     overwrite: Overwrite = False,
@@ -113,6 +116,9 @@ def measure(
     filter_
         Less noise: about a third, a quarter or a sixth of it is left. Edges stay sharp and balls
         keep their size; detail as fine as 3, 5 or 8 pixels is smoothed, and sigma does not tell.
+    response
+        Take the gamma of projector and camera out of the phase: "self" for what these images show
+        of it, or a response.toml of fringe3d calibrate response.
     previous
         Result of the frame before, of the same scene and rig: m6 prefers what goes on from it where
         the images leave several solutions.
@@ -131,7 +137,8 @@ def measure(
     from fringe3d.pipeline import measure as run
     from fringe3d.report.folder import Request, measure_record, summary, write_result
 
-    require_writable(out, overwrite=overwrite, inputs=(scan, images, rig, previous))
+    require_writable(out, overwrite=overwrite, inputs=(scan, images, rig, response, previous))
+    is_own = response == Path("self")
     options = MeasureOptions(
         method=method,
         direction=direction,
@@ -144,12 +151,16 @@ def measure(
         min_modulation_dn=min_modulation,
         min_order_probability=min_probability,
         filter=filter_,
+        own_response=is_own,
     )
+    response = None if is_own else response
     keep_curves(mapped)
     command = shlex.join(["fringe3d", *sys.argv[1:]])
-    request = Request(command=command, scan=scan, images=images, rig=rig, previous=previous)
+    request = Request(command=command, scan=scan, images=images, rig=rig, response=response,
+                      previous=previous)  # fmt: skip
     with Reporter(quiet=as_json).running() as reporter:
-        recording = read_scan(scan, images=images, rig=rig, progress=reporter.step)
+        recording = read_scan(scan, images=images, rig=rig, response=response,
+                              progress=reporter.step)  # fmt: skip
         shape = recording.stacks[0].images.shape[1:]
         before = read_points_mm(previous, shape=shape) if previous else None
         found = None

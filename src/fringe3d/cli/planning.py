@@ -20,7 +20,7 @@ def patterns(
     *,
     size: str,
     out: Path,
-    period: list[float],
+    period: list[float] | None = None,
     steps: int = 4,
     direction: Literal["x", "y", "xy"] | None = None,
     angle: Annotated[float | None, Parameter(validator=at_least(-360))] = None,
@@ -29,6 +29,8 @@ def patterns(
     gray_bits: Annotated[int | None, Parameter(validator=at_least(1))] = None,
     inverses: Annotated[bool, Parameter(negative=())] = False,
     light_dark: Annotated[bool, Parameter(negative=())] = False,
+    ramp: Annotated[int | None, Parameter(validator=at_least(3))] = None,
+    response: Path | None = None,
     bits: Literal[8, 16] = 8,
     overwrite: Overwrite = False,
 ) -> None:
@@ -44,7 +46,8 @@ def patterns(
     out
         Folder for the images; must not exist yet.
     period
-        Fringe period, projector px, at least 2; need not be an integer; repeat it for several.
+        Fringe period, projector px, at least 2; need not be an integer; repeat it for several. Only
+        a grey ramp does without.
     steps
         Phase steps, at least 3; 0 for Gray code alone with cells of the period.
     direction
@@ -61,11 +64,18 @@ def patterns(
         Add the inverse of each Gray-code image.
     light_dark
         Add a light and a dark image.
+    ramp
+        Add uniform images of so many grey levels from dark to light, of which fringe3d calibrate
+        response finds gamma; 17 will do.
+    response
+        A response.toml of fringe3d calibrate response: the images then make up for the gamma.
     bits
         Bit depth of the images.
     """
     from fringe3d.io.importing import parse_size
-    from fringe3d.patterns import numbering, sequence
+    from fringe3d.io.responsefile import mean_curve
+    from fringe3d.model import PatternPlan
+    from fringe3d.patterns import grey_ramp, numbering, sequence
     from fringe3d.report.patterns import write_patterns
 
     width, height = parse_size(size, "--size")
@@ -79,21 +89,27 @@ def patterns(
     else:
         angles = tuple({"x": 0.0, "y": math.pi / 2}[name] for name in direction or "x")
     try:
-        plan = sequence(
-            (height, width),
-            periods_px=tuple(period),
-            n_shifts=steps,
-            angles=angles,
-            reverse=reverse,
-            gray=gray,
-            gray_bits=gray_bits,
-            inverses=inverses,
-            light_dark=light_dark,
+        plan = (
+            PatternPlan(patterns=grey_ramp(ramp), projector_shape=(height, width))
+            if (ramp and not period)
+            else sequence(
+                (height, width),
+                periods_px=tuple(period or ()),
+                n_shifts=steps,
+                angles=angles,
+                reverse=reverse,
+                gray=gray,
+                gray_bits=gray_bits,
+                inverses=inverses,
+                light_dark=light_dark,
+                n_ramp=ramp or 0,
+            )
         )
         notes = numbering(plan)
     except ValueError as problem:
         raise MethodError(f"{problem}. See fringe3d patterns --help") from None
-    write_patterns(out, plan, bit_depth=bits, overwrite=overwrite)
+    curve = mean_curve(response) if response else None
+    write_patterns(out, plan, bit_depth=bits, response=curve, overwrite=overwrite)
     say(f"{plan.n_images} images of {width} x {height} px, {bits} bit -> {out}")
     for note in notes:
         say(f"note: {note}")

@@ -5,6 +5,7 @@ from fringe3d.decode.camera import CameraPhases, DirectionPhases, decode
 from fringe3d.decode.filtering import filtered_camera
 from fringe3d.decode.order import has_mirrored_neighbours
 from fringe3d.decode.phase import wrapped_phase
+from fringe3d.decode.response import ramp_of, response_from_fringes, response_from_ramp
 from fringe3d.kernels import tell_of_compiling
 
 __all__ = [
@@ -14,6 +15,9 @@ __all__ = [
     "decode_apart",
     "filtered_camera",
     "has_mirrored_neighbours",
+    "ramp_of",
+    "response_from_fringes",
+    "response_from_ramp",
     "wrapped_phase",
 ]
 

@@ -66,10 +66,14 @@ NUMBERS = {**PART_OF_PASS, "fastmath": FLAGS}
 
 
 class Steps(NamedTuple):
-    """Fringe images: places in the stack, and (3, n) weights of A, C and S; n a multiple of 4."""
+    """Fringe images: places in the stack, and (3, n) weights of A, C and S; n a multiple of 4.
+
+    `ripple` is added to the phase: at evenly spread phases from 0 to 2 pi; (0,) for nothing.
+    """
 
     places: NDArray[np.int64]
     weights: NDArray[np.float32]
+    ripple: NDArray[np.float32]
 
 
 class Numbers(NamedTuple):
@@ -174,6 +178,22 @@ def _fit(numbers, brightest, work):  # type: ignore[no-untyped-def]
         work[MODULATION + x] = modulation
         work[PHASE + x] = arctangent(sine, cosine, full_turn)
         work[REASON + x] = reason if good else reason + LOW
+
+
+@njit(**NUMBERS)
+def _straighten(ripple, full_turn, n, work):  # type: ignore[no-untyped-def]
+    """Take the ripple of a nonlinear response out of the phases of a tile."""
+    per_rad, last = f4(len(ripple) - 1) / TWO_PI, i4(len(ripple) - 2)
+    lowest = ZERO if full_turn > ZERO else -PI
+    for x in range(n):
+        phase = work[PHASE + x]
+        place = (phase if phase >= ZERO else phase + TWO_PI) * per_rad
+        left = min(i4(place), last)
+        part = place - f4(left)
+        phase += ripple[left] + part * (ripple[left + 1] - ripple[left])
+        phase = phase + TWO_PI if phase < lowest else phase
+        phase = phase - TWO_PI if phase >= lowest + TWO_PI else phase
+        work[PHASE + x] = max(phase, lowest)
 
 
 @njit(**PART_OF_PASS)
@@ -308,6 +328,8 @@ def _decode_tiles(images, steps, numbers, code, maps, n_corrected, first, last, 
         for group in range(0, len(steps.places), TOGETHER):
             _add_steps(images, steps, group, tile, levels[2, :n], work)
         _fit(numbers, levels[2, :n], work)
+        if len(steps.ripple) > 0:
+            _straighten(steps.ripple, numbers.full_turn, n, work)
         if len(maps.order) > 0:
             n_corrected[number] = _orders(
                 images, numbers, code, maps, tile, work, levels[:, :n], word[:n], entry[:n]

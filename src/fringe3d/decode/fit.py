@@ -16,8 +16,9 @@ from fringe3d.decode.noise import (
     harmonic_ratio,
     usable_sample,
 )
+from fringe3d.decode.ripple import ripple_of, slope_at
 from fringe3d.errors import MethodError
-from fringe3d.model import ImageStack, WrappedPhaseMap
+from fringe3d.model import ImageStack, Ripple, WrappedPhaseMap
 from fringe3d.model.plan import FringeSet
 
 MAX_PHASE_STD = 0.25
@@ -35,6 +36,7 @@ class FringeFit:
     read_variance, gain : float, DN**2 and DN
         ``sigma_I**2 = read_variance + gain * max(A, 0)``, A above the black level.
     lowest_dn : float, DN; smallest modulation
+    ripple : Ripple or None; what a nonlinear response does to the phase
     """
 
     solver: NDArray[np.float32]
@@ -42,6 +44,7 @@ class FringeFit:
     read_variance: float
     gain: float
     lowest_dn: float
+    ripple: Ripple | None = None
 
     def variance(self, offset: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return the variance of a grey value, DN**2, where A (above black) is `offset`.
@@ -54,12 +57,16 @@ class FringeFit:
         return np.float32(self.read_variance) + np.float32(self.gain) * light
 
     def phase_std(
-        self, offset: NDArray[np.float32], modulation: NDArray[np.float32]
+        self,
+        offset: NDArray[np.float32],
+        modulation: NDArray[np.float32],
+        phase: NDArray[np.float32],
     ) -> NDArray[np.float32]:
-        """Return the standard deviation of the phase, rad."""
+        """Return the standard deviation of the phase, rad; `phase` is without its ripple."""
         noise = np.float32(self.phase_weight) * np.sqrt(self.variance(offset))
         with np.errstate(divide="ignore", invalid="ignore"):
-            return np.asarray(noise / modulation, np.float32)
+            sigma = np.asarray(noise / modulation, np.float32)
+        return sigma if self.ripple is None else sigma * slope_at(self.ripple, phase)
 
 
 def fringe_fit(
@@ -86,7 +93,8 @@ def fringe_fit(
     lowest = min_modulation_dn
     if lowest is None:
         lowest = MIN_MODULATION_OF_RANGE * (stack.saturation_dn - stack.black_level_dn)
-    return FringeFit(solver, weight, read_variance, gain, lowest)
+    ripple = ripple_of(stack.response, fringe_set)
+    return FringeFit(solver, weight, read_variance, gain, lowest, ripple)
 
 
 @lru_cache(maxsize=32)

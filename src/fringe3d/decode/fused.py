@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from fringe3d.decode import _fused, _mend
 from fringe3d.decode.fit import MAX_PHASE_STD, FringeFit, fringe_fit, wrapped_map
 from fringe3d.decode.order import CLEAR_BIT, OrderClasses, OrderTable
+from fringe3d.decode.ripple import correction_table
 from fringe3d.kernels import over_rows
 from fringe3d.model import NO_ORDER, ImageStack, PhaseMap, Rejection, WrappedPhaseMap
 from fringe3d.model.phasemap import deferred
@@ -81,13 +82,19 @@ def decode_set(
         phase=phase,
         offset=maps.offset,
         modulation=maps.modulation,
-        phase_std=deferred(stack.shape, partial(fit.phase_std, maps.offset, maps.modulation)),
+        phase_std=_deferred_std(fit, maps),
         rejection=rejection,
         decided=maps.rejection,
     )
     if numbering is None:
         return DecodedSet(wrapped, None)
     return DecodedSet(wrapped, _phase_map(wrapped, fit, maps, numbering, n_corrected))
+
+
+def _deferred_std(fit: FringeFit, maps: _fused.Maps) -> NDArray[np.float32]:
+    compute = partial(fit.phase_std, maps.offset, maps.modulation, maps.phase)
+    std: NDArray[np.float32] = deferred(maps.phase.shape, compute)
+    return std
 
 
 def _signed_phase(stack: ImageStack, fringe_set: FringeSet, fit: FringeFit) -> NDArray[np.float32]:
@@ -171,7 +178,7 @@ def _steps(fringe_set: FringeSet, fit: FringeFit) -> _fused.Steps:
     places = np.full(n_filled, fringe_set.indices[0], np.int64)
     weights = np.zeros((3, n_filled), f4)
     places[:n_steps], weights[:, :n_steps] = fringe_set.indices, fit.solver
-    return _fused.Steps(places, weights)
+    return _fused.Steps(places, weights, correction_table(fit.ripple))
 
 
 def _numbers(stack: ImageStack, fit: FringeFit, full_turn: np.float32) -> _fused.Numbers:
@@ -238,7 +245,7 @@ def _phase_map(
         order_class=order,
         class_of_order=classes.class_of_order,
         first_order=classes.first_order,
-        phase_std=deferred(maps.phase.shape, partial(fit.phase_std, maps.offset, maps.modulation)),
+        phase_std=_deferred_std(fit, maps),
         offset=maps.offset,
         modulation=maps.modulation,
         rejection=maps.rejection,

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from fringe3d.decode.fit import MAX_PHASE_STD, FringeFit, fringe_fit, wrapped_map
 from fringe3d.decode.fused import decode_set
+from fringe3d.decode.ripple import corrected
 from fringe3d.model import ImageStack, Rejection, WrappedPhaseMap
 from fringe3d.model.plan import FringeSet
 from fringe3d.model.rejection import reject
@@ -75,7 +76,8 @@ def wrapped_phase(
     fit = fringe_fit(stack, fringe_set, min_modulation_dn)
     offset, cosine, sine = _solve(stack, fringe_set, fit)
     modulation = np.hypot(cosine, sine)
-    phase_std = fit.phase_std(offset, modulation)
+    phase = corrected(fit.ripple, np.arctan2(sine, cosine))
+    phase_std = fit.phase_std(offset, modulation, phase)
     rejection = np.zeros(stack.shape, np.uint16)
     saturated = stack.images[list(fringe_set.indices)].max(axis=0) >= stack.saturation_dn
     reject(rejection, saturated, Rejection.SATURATED)
@@ -85,7 +87,7 @@ def wrapped_phase(
         stack,
         fringe_set,
         fit,
-        phase=np.where(rejection == 0, np.arctan2(sine, cosine), np.float32(np.nan)),
+        phase=np.where(rejection == 0, phase, np.float32(np.nan)),
         offset=offset,
         modulation=modulation,
         phase_std=phase_std,

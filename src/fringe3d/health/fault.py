@@ -48,8 +48,8 @@ _CURES = {
     Kind.SEQUENCE: "compare the sequence of scan.toml with what was projected, image by image",
     Kind.SATURATION: "expose shorter, or close the aperture; against gloss spray the surface",
     Kind.TOO_DARK: "expose longer, open the aperture, or keep other light out",
-    Kind.GAMMA: "switch gamma off in projector and camera, or project through the measured "
-    "response; with 5 steps or more it disturbs less",
+    Kind.GAMMA: "take it out with --response self, switch gamma off, or project through the "
+    "measured response; with 5 steps or more it disturbs less",
     Kind.DEFOCUS: "focus projector and cameras on the object, close the aperture, or project "
     "wider fringes",
     Kind.FLICKER: "expose for whole periods of the lamp and of the mains; switch automatic "

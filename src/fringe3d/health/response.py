@@ -217,8 +217,8 @@ def _period_finding(
         cure = (
             f"{_range([100 * p.gamma for p in pairs], '.0f')} % of it repeats "
             f"{_range([p.n_shifts for p in pairs], 'd')} times per period: the gamma "
-            "(nonlinearity) of projector or camera is not corrected. Linearise the projector, or "
-            "use more steps"
+            "(nonlinearity) of projector or camera is not corrected. Take it out with --response "
+            "self, linearise the projector, or use more steps"
         )
     else:
         cure = (
@@ -310,7 +310,10 @@ def _ripple_findings(camera: CameraPhases) -> list[Finding]:
     ]
     weak = [figure for figure in figures if figure.value <= RIPPLE_WARNING_RAD]
     strong = [figure for figure in figures if figure.value > RIPPLE_WARNING_RAD]
-    cure = "the gamma of projector or camera is not corrected. Linearise it, or use more steps"
+    cure = (
+        "the gamma of projector or camera is not corrected. Take it out with --response self, "
+        "linearise the projector, or use more steps"
+    )
     name = f"{camera.device_name}_ripple_rad"
     findings = []
     if weak:

@@ -18,15 +18,14 @@ from fringe3d.errors import Fringe3DError, ImageError, PlanError, RigError
 from fringe3d.io.images import read_image
 from fringe3d.io.opencv_calibration import KNOWN_KEYS, CalibrationKeys, read_opencv_calibration
 from fringe3d.io.recording import image_size
-from fringe3d.io.scanfile import (
-    FORMAT,
+from fringe3d.io.scanfile import FORMAT, ScanTable, toml_text
+from fringe3d.io.sequencefile import (
     DarkTable,
     FringesTable,
     GrayTable,
     LightTable,
-    ScanTable,
+    RampTable,
     UnusedTable,
-    toml_text,
 )
 from fringe3d.io.toml import first_problem
 from fringe3d.model import Rig
@@ -36,13 +35,14 @@ IMAGE_SUFFIXES = {".png", ".tif", ".tiff", ".bmp", ".jpg", ".jpeg"}
 BIT_DEPTHS = (10, 12, 14, 16)
 """Of cameras that need 16-bit files."""
 
-Kind = FringesTable | GrayTable | LightTable | DarkTable | UnusedTable
+Kind = FringesTable | GrayTable | LightTable | DarkTable | RampTable | UnusedTable
 
 KINDS: dict[str, type[Kind]] = {
     "fringes": FringesTable,
     "gray": GrayTable,
     "light": LightTable,
     "dark": DarkTable,
+    "ramp": RampTable,
     "unused": UnusedTable,
 }
 

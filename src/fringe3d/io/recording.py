@@ -10,6 +10,7 @@ from pathlib import Path, PurePosixPath
 
 from fringe3d.errors import ImageError, PlanError, RigError
 from fringe3d.io.images import Grey, read_image, read_images, read_stack
+from fringe3d.io.responsefile import read_responses, response_for
 from fringe3d.io.rigfile import read_rig
 from fringe3d.io.scanfile import CameraTable, ScanTable, read_scan_table
 from fringe3d.model import ImageStack, PatternPlan, Rig, Scan
@@ -31,6 +32,7 @@ def read_scan(
     images: Path | None = None,
     rig: Path | None = None,
     with_rig: bool = True,
+    response: Path | None = None,
     progress: Progress = _silent,
 ) -> Scan:
     """Read a scan folder, or the scan file of a recording that lies elsewhere.
@@ -41,6 +43,7 @@ def read_scan(
     images : folder of the images; that of the scan file if None
     rig : rig file that replaces the one named in the scan file
     with_rig : bool; False leaves out what the scan file says of a rig but the projector's size
+    response : response file that replaces the one named in the scan file
     progress : called as the images are read
 
     Raises
@@ -73,6 +76,10 @@ def read_scan(
         done = partial(_report, progress, plan.n_images * len(stacks), total)
         pictures = _pictures(table, camera, source, done)
         stacks.append(_stack(table, camera, source, pictures, plan))
+    response = response or (file.parent / table.response if table.response else None)
+    if response is not None:
+        known = read_responses(response)
+        stacks = [s.with_response(response_for(response, known, s.device_name)) for s in stacks]
     scan = Scan(stacks=tuple(stacks), rig=the_rig, title=table.title)
     _require_fit(scan, rig_file)
     return scan

@@ -13,144 +13,19 @@ from pydantic import Field, PositiveFloat, PositiveInt, model_validator
 
 from fringe3d.errors import PlanError
 from fringe3d.io.images import Channel
+from fringe3d.io.sequencefile import (
+    DarkTable,
+    FringesTable,
+    GrayTable,
+    LightTable,
+    RampTable,
+    SequenceTable,
+    UnusedTable,
+)
 from fringe3d.io.toml import StrictModel, read_toml
-from fringe3d.model import Fringe, GrayBit, NoiseModel, Pattern, PatternPlan, Uniform, Unused
-from fringe3d.model.plan import MAX_GRAY_BITS
+from fringe3d.model import Fringe, GrayBit, NoiseModel, Pattern, PatternPlan, Uniform
 
 FORMAT: Literal["fringe3d-scan/1"] = "fringe3d-scan/1"
-
-
-class _Striped(StrictModel):
-    """Common keys of patterns with a direction."""
-
-    direction: Literal["x", "y"] = "x"
-    angle_deg: float | None = None
-
-    @property
-    def angle(self) -> float:
-        """Return the angle of the stripes, rad."""
-        if self.angle_deg is not None:
-            return math.radians(self.angle_deg)
-        return 0.0 if self.direction == "x" else math.pi / 2
-
-
-class FringesTable(_Striped):
-    """Phase-shifted fringes, in the convention of the software that projected them.
-
-    It computed, for its coordinate x of a pixel, ``A + B cos(2 pi x / period_px + phase_offset
-    - shift_direction * 2 pi n / n_shifts)``, where x of the first column (row) is
-    `first_coordinate`.
-    """
-
-    kind: Literal["fringes"]
-    period_px: PositiveFloat
-    n_shifts: Annotated[int, Field(ge=3)] | None = None
-    shifts_deg: list[float] | None = None
-    shift_direction: Literal[1, -1] = 1
-    phase_offset_deg: float = 0.0
-    first_coordinate: float = 0.5
-
-    @model_validator(mode="after")
-    def _one_kind_of_steps(self) -> FringesTable:
-        if (self.n_shifts is None) == (self.shifts_deg is None):
-            raise ValueError("expected either n_shifts (equal steps) or shifts_deg, not both")
-        return self
-
-    def patterns(self) -> list[Pattern]:
-        """Return the fringe images in our convention: everything goes into the shift."""
-        if self.shifts_deg is not None:
-            steps = [math.radians(step) for step in self.shifts_deg]
-        else:
-            steps = [2 * math.pi * n / (self.n_shifts or 1) for n in range(self.n_shifts or 0)]
-        # x = w - 1/2 + first_coordinate, for w = u + 1/2.
-        axis = math.cos(self.angle) + math.sin(self.angle)
-        origin = 2 * math.pi * (self.first_coordinate - 0.5) * axis / self.period_px
-        offset = math.radians(self.phase_offset_deg) + origin
-        return [
-            Fringe(
-                period_px=self.period_px,
-                shift=self.shift_direction * step - offset,
-                angle=self.angle,
-            )
-            for step in steps
-        ]
-
-
-class GrayTable(_Striped):
-    """Gray-code images.
-
-    Cells are counted from the projector's edge, the first one being `first_cell`. `bits` names
-    the recorded bits where not all of them follow in the order of significance (0 is finest).
-    """
-
-    kind: Literal["gray"]
-    cell_px: PositiveFloat
-    n_bits: Annotated[int, Field(ge=1, le=MAX_GRAY_BITS)]
-    bits: list[int] | None = None
-    order: Literal["msb-first", "lsb-first"] = "msb-first"
-    inverses: Literal["none", "interleaved", "after", "only"] = "none"
-    bright_is: Literal[0, 1] = 1
-    first_cell: int = 0
-
-    def patterns(self) -> list[Pattern]:
-        """Return the images of the code in the recorded order."""
-        bits = list(range(self.n_bits)) if self.bits is None else self.bits
-        if self.bits is None and self.order == "msb-first":
-            bits = bits[::-1]
-        plain, inverse = self.bright_is == 0, self.bright_is == 1
-        recorded = {
-            "none": [(bit, plain) for bit in bits],
-            "only": [(bit, inverse) for bit in bits],
-            "interleaved": [(bit, flip) for bit in bits for flip in (plain, inverse)],
-            "after": [(bit, plain) for bit in bits] + [(bit, inverse) for bit in bits],
-        }[self.inverses]
-        return [
-            GrayBit(
-                bit=bit,
-                n_bits=self.n_bits,
-                cell_px=self.cell_px,
-                angle=self.angle,
-                inverted=inverted,
-                first_cell=self.first_cell,
-            )
-            for bit, inverted in recorded
-        ]
-
-
-class LightTable(StrictModel):
-    """An image of full light."""
-
-    kind: Literal["light"]
-
-    def patterns(self) -> list[Pattern]:
-        """Return the image."""
-        return [Uniform(level=1.0)]
-
-
-class DarkTable(StrictModel):
-    """An image without light from the projector."""
-
-    kind: Literal["dark"]
-
-    def patterns(self) -> list[Pattern]:
-        """Return the image."""
-        return [Uniform(level=0.0)]
-
-
-class UnusedTable(StrictModel):
-    """Images that no method needs."""
-
-    kind: Literal["unused"]
-    count: PositiveInt = 1
-
-    def patterns(self) -> list[Pattern]:
-        """Return the images."""
-        return [Unused()] * self.count
-
-
-SequenceTable = Annotated[
-    FringesTable | GrayTable | LightTable | DarkTable | UnusedTable, Field(discriminator="kind")
-]
 
 
 class CameraTable(StrictModel):
@@ -222,6 +97,7 @@ class ScanTable(PlanTable):
     """``scan.toml``: the sequence and the images."""
 
     rig: str | None = None
+    response: str | None = None
     folder: str = ""
     bit_depth: Annotated[int, Field(ge=8, le=16)] = 8
     black_level_dn: Annotated[float, Field(ge=0)] = 0.0
@@ -328,7 +204,7 @@ def _belongs_to(pattern: Pattern) -> tuple[object, ...]:
         case GrayBit():
             return "gray", pattern.cell_px, pattern.angle, pattern.n_bits, pattern.first_cell
         case Uniform():
-            return "uniform", pattern.level
+            return ("uniform",)
         case _:
             return ("unused",)
 
@@ -343,12 +219,16 @@ def _tables(run: list[Pattern]) -> list[SequenceTable]:
             candidates = _gray_tables(first, [p for p in run if isinstance(p, GrayBit)])
         case Uniform(level=level):
             candidates = [LightTable(kind="light") if level else DarkTable(kind="dark")]
+            if not all(isinstance(p, Uniform) and p.level in (0, 1) for p in run):
+                candidates = [_ramp_table(run)]
         case _:
             candidates = [UnusedTable(kind="unused", count=len(run))]
     whole = [table for table in candidates if _same(table.patterns(), run)]
-    if not whole and len(run) == 1:
-        raise PlanError(f"plan: expected light and dark as uniform images, found {run[0]}")
     return whole[:1] or [table for pattern in run for table in _tables([pattern])]
+
+
+def _ramp_table(run: list[Pattern]) -> RampTable:
+    return RampTable(kind="ramp", levels=[p.level for p in run if isinstance(p, Uniform)])
 
 
 def _fringe_tables(first: Fringe, shifts: list[float]) -> list[SequenceTable]:
@@ -396,7 +276,7 @@ def _same(a: list[Pattern], b: list[Pattern]) -> bool:
 
     def key(pattern: Pattern) -> tuple[object, ...]:
         shift = round(pattern.shift, 9) if isinstance(pattern, Fringe) else 0.0
-        return (*_belongs_to(pattern)[:2], shift,
+        return (*_belongs_to(pattern)[:2], shift, getattr(pattern, "level", None),
                 getattr(pattern, "bit", None), getattr(pattern, "inverted", None))  # fmt: skip
 
     return [key(p) for p in a] == [key(p) for p in b]

@@ -10,6 +10,7 @@ from fringe3d.model.phasemap import NO_ORDER, PhaseMap, WrappedPhaseMap
 from fringe3d.model.plan import Fringe, GrayBit, Pattern, PatternPlan, Uniform, Unused
 from fringe3d.model.pose import RigidTransform
 from fringe3d.model.rejection import Rejection
+from fringe3d.model.response import Response, Ripple
 from fringe3d.model.rig import Rig
 from fringe3d.model.scan import Scan
 from fringe3d.model.stack import ImageStack, NoiseModel
@@ -32,9 +33,11 @@ __all__ = [
     "PointCloud",
     "PointMap",
     "Rejection",
+    "Response",
     "Rig",
     "RigCovariance",
     "RigidTransform",
+    "Ripple",
     "Scan",
     "Uniform",
     "Unused",

@@ -179,6 +179,12 @@ class PatternPlan:
         ]
         return places[-1] if places else -1
 
+    @property
+    def uniform_levels(self) -> tuple[tuple[float, int], ...]:
+        """Return level and place of the uniform images, each level once, by level."""
+        levels = {p.level: i for i, p in enumerate(self.patterns) if isinstance(p, Uniform)}
+        return tuple(sorted(levels.items()))
+
     def subset(self, indices: Iterable[int]) -> PatternPlan:
         """Return the plan of a recording that keeps only these images."""
         return PatternPlan(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from fringe3d.model._array import frozen
 from fringe3d.model.plan import PatternPlan
+from fringe3d.model.response import Response
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -44,6 +45,7 @@ class ImageStack:
     black_level_dn : float, DN; grey value without light
     noise : NoiseModel or None (estimated from the images)
     is_lossy : bool; the image files were compressed with loss (JPEG)
+    response : Response or None; what it does to the phase is taken out
     """
 
     images: NDArray[np.unsignedinteger[Any]]
@@ -53,6 +55,7 @@ class ImageStack:
     black_level_dn: float = 0.0
     noise: NoiseModel | None = None
     is_lossy: bool = False
+    response: Response | None = None
 
     def __post_init__(self) -> None:
         images = np.asarray(self.images)
@@ -76,12 +79,12 @@ class ImageStack:
     def subset(self, indices: Iterable[int] | Sequence[int]) -> ImageStack:
         """Return the stack that keeps only the images with these places."""
         places = list(indices)
-        return ImageStack(
+        return replace(
+            self,
             images=self.images if places == list(range(len(self.images))) else self.images[places],
             plan=self.plan.subset(places),
-            device_name=self.device_name,
-            saturation_dn=self.saturation_dn,
-            black_level_dn=self.black_level_dn,
-            noise=self.noise,
-            is_lossy=self.is_lossy,
         )
+
+    def with_response(self, response: Response | None, /) -> ImageStack:
+        """Return the stack with another response."""
+        return replace(self, response=response)

@@ -38,7 +38,7 @@ class Request:
     ----------
     command : str; the command line
     scan : Path; scan folder or scan file
-    images, rig : Path or None; None where the scan file names them
+    images, rig, response : Path or None; None where the scan file names them
     previous : Path or None; result of the frame before
     """
 
@@ -46,6 +46,7 @@ class Request:
     scan: Path
     images: Path | None = None
     rig: Path | None = None
+    response: Path | None = None
     previous: Path | None = None
 
 
@@ -196,6 +197,7 @@ def measure_record(
             "scan": request.scan,
             "images": request.images,
             "rig": request.rig,
+            "response": request.response,
             "previous": request.previous,
         }
         given = {name: str(path) for name, path in paths.items() if path is not None}

@@ -10,7 +10,7 @@ from fringe3d.errors import PlanError
 from fringe3d.io.atomic import new_folder
 from fringe3d.io.images import write_png
 from fringe3d.io.scanfile import plan_text
-from fringe3d.model import Fringe, GrayBit, Pattern, PatternPlan, Uniform
+from fringe3d.model import Fringe, GrayBit, Pattern, PatternPlan, Response, Uniform
 from fringe3d.patterns import pattern_image
 
 SHEET_COLUMNS = 6
@@ -19,7 +19,13 @@ FRAME = "0.6"
 
 
 def write_patterns(
-    out: Path, plan: PatternPlan, /, *, bit_depth: int = 8, overwrite: bool = False
+    out: Path,
+    plan: PatternPlan,
+    /,
+    *,
+    bit_depth: int = 8,
+    response: Response | None = None,
+    overwrite: bool = False,
 ) -> None:
     """Write the images to project, ``plan.toml`` and the contact sheet ``overview.png``."""
     shape = plan.projector_shape
@@ -27,7 +33,7 @@ def write_patterns(
         raise PlanError("plan: expected the size of the projector, found none")
     with new_folder(out, overwrite=overwrite) as folder:
         for index, pattern in enumerate(plan.patterns):
-            image = pattern_image(pattern, shape, bit_depth=bit_depth)
+            image = pattern_image(pattern, shape, bit_depth=bit_depth, response=response)
             write_png(folder / f"{index:03d}.png", image)
         (folder / "plan.toml").write_text(plan_text(plan), encoding="utf-8")
         _contact_sheet(folder / "overview.png", plan, shape)
@@ -57,7 +63,7 @@ def _label(pattern: Pattern) -> str:
             return f"{pattern.period_px:g} px, shift {pattern.shift / 3.141592653589793:+.2f} pi"
         case GrayBit():
             return f"Gray bit {pattern.bit}{' inverse' if pattern.inverted else ''}"
-        case Uniform():
-            return "light" if pattern.level else "dark"
+        case Uniform(level=level):
+            return {0.0: "dark", 1.0: "light"}.get(level, f"grey {level:.3g}")
         case _:
             return "unused"
