@@ -23,8 +23,9 @@ from fringe3d.correspond.solving import (
     n_alike,
     refined,
 )
-from fringe3d.correspond.surfaces import CONTINUOUS, absolute_turns, made_whole, surfaces
+from fringe3d.correspond.surfaces import CONTINUOUS, absolute_turns, surfaces
 from fringe3d.correspond.weighing import LARGEST_COST, LARGEST_EXTRA, Task
+from fringe3d.correspond.whole import made_whole
 from fringe3d.geometry import project, rays
 from fringe3d.model import NO_ORDER, CalibrationBias, Device
 from fringe3d.model.bias import N_TERMS, terms_of

@@ -1,0 +1,259 @@
+"""Parts of one surface that were given different orders, made whole."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import breadth_first_order, connected_components, minimum_spanning_tree
+
+from fringe3d.correspond import _orders
+from fringe3d.correspond.bias import PATCH_PX
+from fringe3d.correspond.choice import Choice
+from fringe3d.correspond.occlusion import hidden_from
+from fringe3d.correspond.pieces import NEIGHBOURS, cut_apart
+from fringe3d.correspond.surfaces import absolute_turns, surfaces
+from fringe3d.correspond.weighing import CLEAR, LARGEST_EXTRA, TWO_PI, Task
+from fringe3d.model import NO_ORDER
+
+Bools = NDArray[np.bool_]
+Ints = NDArray[np.int64]
+
+LEAST_SEAM, SEAM_PART = 4, 0.5
+"""Pixels of a border, and part of it, across which the phase is smooth. Where one thing stands in
+front of another this happens to a few pixels in a hundred."""
+
+BOND = 4
+"""Pixels of a smooth border that outweigh one across which the orders agree already."""
+
+LEAST_HEALED = 0.5
+"""Part of its border that a surface must heal where it moves, less what it tears. That of a
+tooth before a table is smooth by chance here and there; that of a patch of the table itself is
+smooth but where something stands before it."""
+
+LARGEST_REFUTATION = 36.0
+"""Squared deviations of one pixel."""
+
+REFUTED, REFUTED_PIXEL = 4.0, 1.0
+"""Half squared deviations by which another order must fit worse to be refuted: in all, neighbours
+within a patch counted once, and on the median pixel. What the bias leaves is not random; and up to
+half of a surface may be hidden from C2 where it truly is, yet fit where it is not."""
+
+ODDS_POWER = 3
+"""Votes of neighbours are not independent: a surface has as few, however many its pixels. With 97 %
+of them its order is certain, with 70 % the odds are 13 to 1."""
+
+LEAST_VOTES = 0.2
+"""Part of a surface that must be clear for the rest to follow."""
+
+
+def made_whole(task: Task, chosen: Choice, /, *, doubts: bool = True) -> Choice:
+    """Give parts of one surface that were given different orders the order of most of it.
+
+    Evidence is gathered along lines, and systematic errors add up on them: where wrong orders fit
+    nearly as well, a line may leave its order in the middle of a smooth surface. A depth edge does
+    not go unseen along a border, unless the step is a whole number of periods: then C2 tells.
+
+    Parameters
+    ----------
+    task : Task
+    chosen : Choice
+    doubts : bool; no pixel is more probable than the order of its surface, given the votes
+
+    Returns
+    -------
+    Choice; parts that moved have the share of the votes for their order as probability. A part
+        stays where it is if what C2 and all else show refutes the other order.
+    """
+    known = chosen.order != NO_ORDER
+    if not known.any():
+        return chosen
+    higher = _jumps(task, chosen.order, known)
+    parts = _parts(task, chosen.order, known)
+    pieces = cut_apart(parts, higher, task.rises[1])
+    part = pieces[task.valid][known]
+    n = int(part.max()) + 1
+    whole, level = _levels(*_seams(pieces, parts, higher, task.rises[1]), n)
+    clear = (chosen.probability > CLEAR) & np.isfinite(chosen.cost)
+    votes, sizes = np.bincount(part[clear[known]], minlength=n), np.bincount(part)
+    wanted, share = _elected(whole, level, votes, sizes)
+    number = np.full(len(known), -1)
+    number[known] = part
+    moved = np.flatnonzero(known)[(wanted != level)[part]]
+    probability = chosen.probability.copy()
+    if doubts:
+        odds = (share / np.maximum(1 - share, 1e-9)) ** ODDS_POWER
+        probability[known] = np.fmin(probability[known], (odds / (1 + odds))[part])
+    places = chosen.place.copy()
+    if len(moved):
+        of = number[moved]
+        place, found = chosen.candidates.place_of(chosen.order[moved] + (wanted - level)[of], moved)
+        places[moved[found]] = place[found]
+        refuted = _refuted(task, chosen, replace(chosen, place=places), moved, of)
+        goes = found & ~refuted[of]
+        places[moved[~goes]] = chosen.place[moved[~goes]]
+        probability[moved] = np.where(goes, share[of], chosen.probability[moved])
+    return replace(chosen, place=places, probability=probability)
+
+
+def _refuted(
+    task: Task, chosen: Choice, wanted: Choice, moved: NDArray[np.intp], of: Ints
+) -> Bools:
+    """Tell of which parts the border, or C2 and all else, refute the orders they should have.
+
+    moved, of (n,): the pixels that should move, and the part of each. Most of its border must be
+    healed. What C2 does not see of it where it would be refutes nothing: it sees what stands before
+    it.
+    """
+    number = np.full(len(chosen.place), -1)
+    number[moved] = of
+    torn = _healed(task, chosen, wanted, number) < LEAST_HEALED
+    worse = np.nan_to_num(_against(wanted, moved) - _against(chosen, moved), nan=0.0)
+    refuted = _typically(worse, of)
+    if task.stride == (1, 1) and (refuted & ~torn).any():
+        seen = ~_hidden_from_c2(task, wanted)[moved]
+        refuted = _typically(worse[seen], of[seen], n=len(refuted))
+    return torn | refuted
+
+
+def _typically(worse: NDArray[np.float64], of: Ints, n: int = 0) -> Bools:
+    sizes = np.bincount(of, minlength=n)
+    typical = np.where(sizes > 0, ndimage.median(worse, of, np.arange(len(sizes))), 0.0)
+    return np.asarray((typical > REFUTED_PIXEL) & (typical * sizes > REFUTED * PATCH_PX**2))
+
+
+def _healed(task: Task, chosen: Choice, wanted: Choice, of: Ints) -> NDArray[np.float64]:
+    """Return of which part of the border of each part the wanted orders make a smooth surface, less
+    what they tear; of (n,): part of each pixel, -1 for what stays."""
+    known = chosen.order != NO_ORDER
+    number = np.full(task.valid.shape, -1)
+    number[task.valid] = of
+    former, later = (_jumps(task, which.order, known) for which in (chosen, wanted))
+    gain, border = np.zeros((2, int(of.max()) + 1))
+    for axis, (here, there) in enumerate(NEIGHBOURS):
+        smooth, ends = task.rises[1][axis][here], (number[here], number[there])
+        better = np.where(smooth, (former[axis][here] != 0) * 1.0 - (later[axis][here] != 0), 0.0)
+        inner = smooth & (former[axis][here] == 0) & (later[axis][here] == 0)
+        is_border = (ends[0] != ends[1]) & ~inner
+        for end in ends:
+            edge = (end >= 0) & is_border
+            gain += np.bincount(end[edge], better[edge], minlength=len(gain))
+            border += np.bincount(end[edge], minlength=len(gain))
+    return gain / np.maximum(border, 1)
+
+
+def _hidden_from_c2(task: Task, chosen: Choice) -> Bools:
+    """Tell which points, (n,), something that was chosen for other pixels hides from C2."""
+    listed = chosen.candidates
+    depths = listed.shown[:, :, _orders.DEPTH]
+    ways = np.abs(np.diff(depths, axis=1))
+    way = float(np.nanmedian(ways)) / listed.label_step if np.isfinite(ways).any() else 0.0
+    depth, noise = np.full((2, *task.valid.shape), np.nan)
+    depth[task.valid] = np.where(chosen.order != NO_ORDER, chosen.depth_mm, np.nan)
+    noise[task.valid] = task.first[1] / TWO_PI * way
+    hidden = hidden_from([task.views.camera2], task.views.camera1, depth, noise)
+    return np.asarray(hidden[task.valid])
+
+
+def _against(chosen: Choice, index: NDArray[np.intp]) -> NDArray[np.float64]:
+    """Return what speaks against the chosen candidates of some pixels, half squares; NaN where C2
+    does not see them."""
+    place = chosen.place[index]
+    costs, extras = chosen.costs[index, place], chosen.candidates.extras[index, place]
+    return np.asarray(
+        np.minimum(costs, LARGEST_REFUTATION) / 2 + np.minimum(extras / 2, LARGEST_EXTRA)
+    )
+
+
+def _parts(task: Task, order: NDArray[np.int32], known: Bools) -> Ints:
+    """Return the number of the surface of each pixel, (row, col), -1 for none."""
+    numbers = np.full(len(known), -1, np.int64)
+    numbers[known] = surfaces(task, order, known, smooth=True)
+    parts = np.full(task.valid.shape, -1, np.int64)
+    parts[task.valid] = numbers
+    return parts
+
+
+def _jumps(task: Task, order: NDArray[np.int32], known: Bools) -> Ints:
+    """Return by how many orders the next row and column are higher than the phase goes on to,
+    (2, row, col); 0 where nothing is known."""
+    turns = absolute_turns(task, order, known)
+    higher = np.zeros((2, *turns.shape), np.int64)
+    for axis, (here, there) in enumerate(NEIGHBOURS):
+        rise = task.rises[0][axis][here]
+        apart = np.rint(turns[there] - turns[here] - rise / TWO_PI)
+        higher[axis][here] = np.nan_to_num(apart, nan=0.0)
+    return higher
+
+
+def _seams(
+    pieces: Ints, parts: Ints, higher: Ints, is_smooth: Bools
+) -> tuple[Ints, Ints, Ints, Ints]:
+    """Return pairs of pieces with a smooth border, how many orders the second one is higher than
+    the first would continue into it, and the weight of the border, px; (n,) each."""
+    found = []
+    for axis, (here, there) in enumerate(NEIGHBOURS):
+        border = (pieces[here] >= 0) & (pieces[there] >= 0) & (pieces[here] != pieces[there])
+        first, second = pieces[here][border], pieces[there][border]
+        jump = higher[axis][here][border] * np.where(first < second, 1, -1)
+        within = (parts[here] == parts[there])[border]
+        smooth = is_smooth[axis][here][border]
+        found.append(np.stack([np.minimum(first, second), np.maximum(first, second), jump,
+                               smooth, smooth & within & (jump == 0)]))  # fmt: skip
+    first, second, jump, smooth, bond = np.concatenate(found, axis=1)
+    pairs, pair = np.unique(np.stack([first, second]), axis=1, return_inverse=True)
+    in_all = np.bincount(pair.ravel())
+    kinds, length = np.unique(
+        np.stack([pair.ravel(), jump, bond])[:, smooth == 1], axis=1, return_counts=True
+    )
+    long = (length >= LEAST_SEAM) & (length > SEAM_PART * in_all[kinds[0]])
+    taken = long | (kinds[2] == 1)
+    first, second = pairs[:, kinds[0, taken]]
+    return first, second, kinds[1, taken], (length * np.where(kinds[2], BOND, 1))[taken]
+
+
+def _levels(first: Ints, second: Ints, higher: Ints, length: Ints, n: int) -> tuple[Ints, Ints]:
+    """Return the surface of each of n parts, and by how many orders it is off the surface's first.
+
+    Where borders contradict each other the longest hold: they make up the spanning tree.
+    """
+    ends = (first, second)
+    tree = minimum_spanning_tree(coo_array((1.0 / length, ends), shape=(n, n)))
+    _, whole = connected_components(tree, directed=False)
+    steps = coo_array((higher, ends), shape=(n, n)).tocsr()
+    steps = steps - steps.T
+    # One more node holds all surfaces together.
+    roots = np.unique(whole, return_index=True)[1]
+    edges = tree.tocoo()
+    start = np.concatenate([edges.row, np.full(len(roots), n)])
+    end = np.concatenate([edges.col, roots])
+    graph = coo_array((np.ones(len(start)), (start, end)), shape=(n + 1, n + 1)).tocsr()
+    order, former = breadth_first_order(graph, n, directed=False)
+    level = np.zeros(n, np.int64)
+    for node in order[1:]:
+        if former[node] != n:
+            level[node] = level[former[node]] + steps[former[node], node]
+    return np.asarray(whole, np.int64), level
+
+
+def _elected(
+    whole: Ints, level: Ints, votes: Ints, sizes: Ints
+) -> tuple[Ints, NDArray[np.float64]]:
+    """Return the level that most clear pixels of each part's surface have, and their share.
+
+    Parts stay on their level, and nothing is shared, where too few pixels are clear.
+    """
+    kinds, kind = np.unique(np.stack([whole, level]), axis=1, return_inverse=True)
+    votes_of = np.bincount(kind.ravel(), votes)
+    order = np.argsort(votes_of, kind="stable")
+    wanted = np.zeros(int(whole.max()) + 1, np.int64)
+    most = np.zeros(len(wanted))
+    wanted[kinds[0, order]] = kinds[1, order]
+    most[kinds[0, order]] = votes_of[order]
+    total = np.bincount(whole, votes)
+    settled = (total > 0) & (total >= LEAST_VOTES * np.bincount(whole, sizes))
+    share = np.where(settled, most / np.maximum(total, 1), 1.0)
+    return np.where(settled[whole], wanted[whole], level), share[whole]
