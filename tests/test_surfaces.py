@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.ndimage import maximum_filter, minimum_filter
 
-from fringe3d.correspond import _orders
+from closed_form import sphere_distance
+from closed_phases import Surface, grid_of, phase_map, seen_points, small_rig, true_turns
+from closed_phases import task_of as solid_task
+from fringe3d.correspond import TwoViews, _orders, whole
 from fringe3d.correspond.choice import Candidates, Choice
 from fringe3d.correspond.grid import index_of, rises_of
 from fringe3d.correspond.surfaces import no_surer_than_most
@@ -184,6 +189,62 @@ def test_what_c2_refutes_does_not_move() -> None:
     few = (ROWS > 25) & (ROWS < 29) & (COLS > 50) & (COLS < 56)  # 15 px, less than a patch
     healed = made_whole(task, choice_of(task, FLAT, few, cost))
     assert (off_of(task, FLAT, healed) == 0).all()
+
+
+def test_a_patch_that_hangs_on_its_surface_by_a_chain_of_pixels_is_made_whole() -> None:
+    """Along one row the phase rises by two periods without a bend: the patch is two orders off
+    there, and all is one part."""
+    along = np.clip((COLS - 10.0) / 40, 0, 1)
+    chain = (ROWS == 30) & (COLS <= 50)
+    turns = FLAT + 2 * PATCH + np.where(chain, 2 * (3 * along**2 - 2 * along**3), 0.0)
+    task = task_of(turns)
+    off = off_of(task, turns, made_whole(task, choice_of(task, turns, 0)))
+    assert (off[PATCH] == -2).all()
+    assert (off[~PATCH & ~chain] == 0).all()
+
+
+@pytest.mark.parametrize("hides", [0.0, 0.5, 1.0])
+def test_what_something_hides_from_c2_refutes_nothing(
+    hides: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where the patch belongs C2 sees another surface in three quarters of its pixels."""
+    task = task_of(FLAT)
+    task.stride = (1, 1)
+    before = PATCH & (COLS > 57)
+    cost = np.zeros((FLAT.size, len(LABELS)))
+    cost[before.ravel(), 4] = 50.0
+    hidden = before & (57 + 22 * (1 - hides) < COLS)
+    monkeypatch.setattr(whole, "_hidden_from_c2", lambda *_: hidden.ravel())
+    off = off_of(task, FLAT, made_whole(task, choice_of(task, FLAT, PATCH, cost)))
+    assert (off[PATCH] == (0 if hides == 1.0 else 1)).all()
+
+
+def test_what_stands_before_a_table_hides_it_from_c2() -> None:
+    """Of the true orders; against the shadow of a sphere in closed form, but for its border."""
+    rig, ball = small_rig(), Surface()
+    assert rig.projector is not None
+    views = TwoViews(camera1=rig.cameras[0], camera2=rig.cameras[1],
+                     phases1=phase_map(rig.cameras[0], rig.projector, ball),
+                     phases2=phase_map(rig.cameras[1], rig.projector, ball))  # fmt: skip
+    task = solid_task(rig, views, (1, 1))
+    chosen = task.decide(task.frame.constant((0.0, 0.0), scatter_px=0.05))
+    grid = grid_of(rig.cameras[0])
+    turns = true_turns(rig.cameras[0], rig.projector, ball, grid)
+    true = np.floor(turns)[task.valid].astype(np.int32)
+    place, listed = chosen.candidates.place_of(true, np.arange(len(true)))
+    found = np.zeros(task.valid.shape, bool)
+    found[task.valid] = whole._hidden_from_c2(task, replace(chosen, place=place))
+    points, _, on_ball = seen_points(rig.cameras[0], grid, ball)
+    origin = rig.cameras[1].center_world
+    away = points - origin
+    distance = np.linalg.norm(away, axis=-1)
+    first = sphere_distance(origin, away / distance[..., None], ball.center_mm, ball.radius_mm)
+    hidden = first < distance - 1e-6
+    unsure = maximum_filter(hidden, 5) & ~minimum_filter(hidden, 5)
+    sure = task.valid & ~unsure & ~on_ball
+    sure[task.valid] &= listed
+    assert (hidden & sure).sum() > 100
+    np.testing.assert_array_equal(found[sure], hidden[sure])
 
 
 def test_most_clear_pixels_elect_the_order_not_the_largest_part() -> None:

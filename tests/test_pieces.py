@@ -1,0 +1,73 @@
+"""A part that contradicts itself along a smooth line is cut where it is thin."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from fringe3d.correspond.pieces import cut_apart
+
+Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
+
+SHAPE = (40, 60)
+ROWS, COLS = np.mgrid[: SHAPE[0], : SHAPE[1]]
+
+
+def halves(*, gap: int, bridge: int, jump: int = 2) -> tuple[Ints, Ints, Bools]:
+    """Return one part of two halves: a seam of `gap` rows between columns 29 and 30, `bridge` rows
+    in which they hang together, and an edge along the rest."""
+    parts = np.zeros(SHAPE, np.int64)
+    higher, smooth = np.zeros((2, *SHAPE), np.int64), np.ones((2, *SHAPE), bool)
+    higher[1, :gap, 29] = jump
+    smooth[1, gap + bridge :, 29] = False
+    return parts, higher, smooth
+
+
+def n_pieces(cut: Ints) -> int:
+    return len(np.unique(cut[cut >= 0]))
+
+
+@pytest.mark.parametrize("jump", [-3, 1, 2])
+@pytest.mark.parametrize("bridge", [1, 4])
+def test_a_thin_bridge_is_cut(bridge: int, jump: int) -> None:
+    cut = cut_apart(*halves(gap=20, bridge=bridge, jump=jump))
+    left, right = np.unique(cut[:, :26]), np.unique(cut[:, 34:])  # the bridge may be either's
+    assert len(left) == len(right) == 1
+    assert left != right
+
+
+def test_rows_and_columns_are_alike() -> None:
+    parts, higher, smooth = halves(gap=20, bridge=2)
+    plain = cut_apart(parts, higher, smooth)
+    turned = cut_apart(parts.T, higher.transpose(0, 2, 1)[::-1], smooth.transpose(0, 2, 1)[::-1])
+    np.testing.assert_array_equal(plain != plain[0, 0], turned[0, 0] != turned.T)
+
+
+@pytest.mark.parametrize(
+    "case",
+    [
+        pytest.param({"gap": 20, "bridge": 12}, id="wide bridge"),
+        pytest.param({"gap": 7, "bridge": 2}, id="short seam"),
+        pytest.param({"gap": 20, "bridge": 2, "jump": 0}, id="no seam"),
+    ],
+)
+def test_what_does_not_contradict_itself_or_is_not_thin_stays_whole(case: dict[str, int]) -> None:
+    assert n_pieces(cut_apart(*halves(**case))) == 1
+
+
+def test_other_parts_and_gaps_stay_what_they_are() -> None:
+    parts, higher, smooth = halves(gap=20, bridge=2)
+    other = (ROWS > 30) & (COLS < 20)
+    parts[other], parts[35:, 40:] = 1, -1
+    cut = cut_apart(parts, higher, smooth)
+    assert (cut[35:, 40:] == -1).all()
+    assert n_pieces(cut) == 3
+    assert len(np.unique(cut[other])) == 1
+    assert not np.isin(cut[other][0], cut[~other])
+
+
+def test_no_pixels() -> None:
+    parts, higher, smooth = halves(gap=20, bridge=2)
+    assert (cut_apart(np.full_like(parts, -1), higher, smooth) == -1).all()
