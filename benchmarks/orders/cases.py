@@ -162,9 +162,16 @@ def _taught(lesson: _Lesson) -> dict[Calibration, CalibrationBias | None]:
 
 def _judged(batch: _Batch) -> list[Result]:
     recording = recorded(batch.cases[0].scene)
-    m1 = measure(recording.scan, MeasureOptions(method="m1")).points
-    assert m1 is not None
-    return [_result(case, recording, m1, batch.biases) for case in batch.cases]
+    m1 = {c: _by_m1(recording, c) for c in dict.fromkeys(case.calibration for case in batch.cases)}
+    return [_result(case, recording, m1[case.calibration], batch.biases) for case in batch.cases]
+
+
+def _by_m1(recording: Recording, calibration: Calibration) -> PointMap:
+    """Return what the full code finds with the same calibration."""
+    scan = replace(recording.scan, rig=_rig(recording, calibration))
+    points = measure(scan, MeasureOptions(method="m1")).points
+    assert points is not None
+    return points
 
 
 def _result(
