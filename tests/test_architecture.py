@@ -88,6 +88,7 @@ ALLOWED: dict[str, set[str]] = {
     "report": NOUNS
     | {
         "calibrate",
+        "decode",
         "design",
         "evaluate",
         "geometry",

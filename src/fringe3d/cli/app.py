@@ -17,6 +17,7 @@ from fringe3d.cli import (
     doctoring,
     evaluating,
     exporting,
+    noising,
     planning,
     responding,
     self_calibrating,
@@ -37,6 +38,7 @@ __all__ = [
     "doctoring",
     "evaluating",
     "exporting",
+    "noising",
     "planning",
     "responding",
     "self_calibrating",
@@ -67,6 +69,7 @@ def measure(
         Literal["none", "light", "medium", "strong"], Parameter(name="--filter")
     ] = "none",
     response: Path | None = None,
+    noise: Path | None = None,
     previous: Path | None = None,
     self_calibrate: Annotated[bool, Parameter(negative=())] = False,
     overwrite: Overwrite = False,
@@ -119,6 +122,9 @@ def measure(
     response
         Take the gamma of projector and camera out of the phase: "self" for what these images show
         of it, or a response.toml of fringe3d calibrate response.
+    noise
+        A noise.toml of fringe3d noise, for the sigma of the points, instead of the scan's own
+        noise.
     previous
         Result of the frame before, of the same scene and rig: m6 prefers what goes on from it where
         the images leave several solutions.
@@ -137,7 +143,8 @@ def measure(
     from fringe3d.pipeline import measure as run
     from fringe3d.report.folder import Request, measure_record, summary, write_result
 
-    require_writable(out, overwrite=overwrite, inputs=(scan, images, rig, response, previous))
+    require_writable(out, overwrite=overwrite, inputs=(scan, images, rig, response, noise,
+                     previous))  # fmt: skip
     is_own = response == Path("self")
     options = MeasureOptions(
         method=method,
@@ -157,10 +164,10 @@ def measure(
     keep_curves(mapped)
     command = shlex.join(["fringe3d", *sys.argv[1:]])
     request = Request(command=command, scan=scan, images=images, rig=rig, response=response,
-                      previous=previous)  # fmt: skip
+                      noise=noise, previous=previous)  # fmt: skip
     with Reporter(quiet=as_json).running() as reporter:
         recording = read_scan(scan, images=images, rig=rig, response=response,
-                              progress=reporter.step)  # fmt: skip
+                              noise=noise, progress=reporter.step)  # fmt: skip
         shape = recording.stacks[0].images.shape[1:]
         before = read_points_mm(previous, shape=shape) if previous else None
         found = None

@@ -6,15 +6,19 @@ from fringe3d.decode.filtering import filtered_camera
 from fringe3d.decode.order import has_mirrored_neighbours
 from fringe3d.decode.phase import wrapped_phase
 from fringe3d.decode.response import ramp_of, response_from_fringes, response_from_ramp
+from fringe3d.decode.sensor import SensorNoise, noise_from_repeats, noise_from_steps
 from fringe3d.kernels import tell_of_compiling
 
 __all__ = [
     "CameraPhases",
     "DirectionPhases",
+    "SensorNoise",
     "decode",
     "decode_apart",
     "filtered_camera",
     "has_mirrored_neighbours",
+    "noise_from_repeats",
+    "noise_from_steps",
     "ramp_of",
     "response_from_fringes",
     "response_from_ramp",

@@ -61,7 +61,7 @@ def estimated_variance(
     fringe_set : FringeSet
     solver : (3, N) float32; weights of the steps for A, C and S
     """
-    leftover = _leftover(fringe_set.shifts)
+    leftover = leftover_basis(fringe_set.shifts)
     n_steps, dark = len(fringe_set.indices), MIN_MODULATION_OF_RANGE * stack.saturation_dn
     wanted = NOISE_SAMPLE
     if n_steps >= MIN_STEPS_FOR_RESIDUAL:
@@ -92,7 +92,7 @@ def _middle_rows(every: int) -> slice:
 
 
 @lru_cache(maxsize=32)
-def _leftover(shifts_rad: tuple[float, ...]) -> NDArray[np.float32]:
+def leftover_basis(shifts_rad: tuple[float, ...]) -> NDArray[np.float32]:
     """Return an orthonormal basis of what neither fringe nor its harmonics explain.
 
     Shape (n, N), n the degrees of freedom. Harmonics (gamma) are no noise: as many as leave at

@@ -5,11 +5,13 @@ from __future__ import annotations
 import fnmatch
 import re
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path, PurePosixPath
 
 from fringe3d.errors import ImageError, PlanError, RigError
 from fringe3d.io.images import Grey, read_image, read_images, read_stack
+from fringe3d.io.noisefile import noise_for, read_noise
 from fringe3d.io.responsefile import read_responses, response_for
 from fringe3d.io.rigfile import read_rig
 from fringe3d.io.scanfile import CameraTable, ScanTable, read_scan_table
@@ -33,6 +35,7 @@ def read_scan(
     rig: Path | None = None,
     with_rig: bool = True,
     response: Path | None = None,
+    noise: Path | None = None,
     progress: Progress = _silent,
 ) -> Scan:
     """Read a scan folder, or the scan file of a recording that lies elsewhere.
@@ -44,6 +47,7 @@ def read_scan(
     rig : rig file that replaces the one named in the scan file
     with_rig : bool; False leaves out what the scan file says of a rig but the projector's size
     response : response file that replaces the one named in the scan file
+    noise : noise file that replaces the noise model of the scan file
     progress : called as the images are read
 
     Raises
@@ -80,6 +84,9 @@ def read_scan(
     if response is not None:
         known = read_responses(response)
         stacks = [s.with_response(response_for(response, known, s.device_name)) for s in stacks]
+    if noise is not None:
+        models = read_noise(noise)
+        stacks = [replace(s, noise=noise_for(noise, models, s.device_name)) for s in stacks]
     scan = Scan(stacks=tuple(stacks), rig=the_rig, title=table.title)
     _require_fit(scan, rig_file)
     return scan

@@ -38,7 +38,7 @@ class Request:
     ----------
     command : str; the command line
     scan : Path; scan folder or scan file
-    images, rig, response : Path or None; None where the scan file names them
+    images, rig, response, noise : Path or None; None where the scan file names them
     previous : Path or None; result of the frame before
     """
 
@@ -47,6 +47,7 @@ class Request:
     images: Path | None = None
     rig: Path | None = None
     response: Path | None = None
+    noise: Path | None = None
     previous: Path | None = None
 
 
@@ -198,6 +199,7 @@ def measure_record(
             "images": request.images,
             "rig": request.rig,
             "response": request.response,
+            "noise": request.noise,
             "previous": request.previous,
         }
         given = {name: str(path) for name, path in paths.items() if path is not None}
