@@ -102,6 +102,8 @@ ALLOWED: dict[str, set[str]] = {
         "__init__",
     },
     "view": NOUNS | {"geometry", "io", "options", "patterns", "report"},
+    # For notebooks: whatever there is to see, in one line.
+    "plot": NOUNS | {"io", "patterns", "pipeline", "report", "view"},
     "cli": NOUNS
     | {
         "decode",
@@ -131,7 +133,7 @@ EDGE_LIBRARIES = {
     "tifffile": {"io"},
     "tomlkit": {"io"},
     "pydantic": {"io"},
-    "matplotlib": {"report", "view"},
+    "matplotlib": {"plot", "report", "view"},
     "viser": {"view"},
     "jinja2": {"report"},
     "markupsafe": {"report"},

@@ -49,6 +49,7 @@ from fringe3d.model import (
     Rig,
     Scan,
 )
+from fringe3d.model.html import picture, table
 from fringe3d.model.rejection import count_by_reason
 from fringe3d.options import MeasureOptions, keep_images, volume_of
 from fringe3d.segments import angles_without_code
@@ -116,6 +117,12 @@ class Measurement:
     def rejection(self) -> NDArray[np.uint16]:
         """Return the rejection map of C1."""
         return self.main.rejection if self.points is None else self.points.rejection
+
+    def _repr_html_(self) -> str:
+        rows = [("method", f"{self.method} with {self.n_images} images: {self.why}")]
+        rows += [(finding.level, finding.text) for finding in self.warnings]
+        shown = self.points._repr_html_() if self.points else picture(self.main.phase)
+        return table("measurement", rows, more=shown)
 
 
 def measure(

@@ -39,6 +39,7 @@ from fringe3d.calibrate._bundle import (
 from fringe3d.calibrate.board_view import BoardView
 from fringe3d.errors import CalibrationError
 from fringe3d.model import Board, Device, RigCovariance, RigidTransform
+from fringe3d.model.html import table
 
 Floats = NDArray[np.float64]
 
@@ -124,6 +125,15 @@ class BoardCalibration:
     is_open: bool
     _problem: Problem
     _state: State
+
+    def _repr_html_(self) -> str:
+        rows = [
+            (device.name, f"rms {self.rms_px(device.name):.3f} px, lens {self.lenses[device.name]}")
+            for device in self.devices
+        ]
+        rows.append(("poses", str(len(self.world_from_board))))
+        rows += [("left out", text) for text in (*self.left_out, *self.mirrored)]
+        return table(f"calibration by a {self.board.text}, {self.shape}", rows)
 
     def in_world(self, first_from_world: RigidTransform, /) -> BoardCalibration:
         """Return the calibration in another world frame; so far the first device is the world."""

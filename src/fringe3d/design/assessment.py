@@ -29,6 +29,7 @@ from fringe3d.design.uncertainty import (
 )
 from fringe3d.geometry import triangulation_angle
 from fringe3d.model import Rig
+from fringe3d.model.html import table
 
 MAX_PIXELS = 400_000
 """Larger cameras are counted on a grid: maps are smooth, and nobody waits."""
@@ -122,6 +123,15 @@ class Assessment:
     def bits(self) -> int:
         """Return the bits to take: surfaces beyond the volume count if the user spoke of them."""
         return self.needs.bits if self.beyond is None else self.needs.bits_beyond
+
+    def _repr_html_(self) -> str:
+        angles = {"C1 to C2": self.angle_c1c2, "C1 to projector": self.angle_c1p}
+        rows = [(name, f"{np.degrees(a):.1f} deg") for name, a in angles.items() if np.isfinite(a)]
+        rows += [
+            ("period", f"{self.period_px:g} projector px at {np.degrees(self.angle):g} deg"),
+            ("code", f"{self.bits} cyclic images" if self.bits else "none needed"),
+        ]
+        return table("design of a rig", rows)
 
 
 def _silent(_stage: str) -> None:

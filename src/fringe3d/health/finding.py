@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
+from fringe3d.model.html import table
+
 Level = Literal["ok", "warning", "error"]
 
 
@@ -27,3 +29,7 @@ class Finding:
     value: float
     text: str
     figures: Mapping[str, float] = field(default_factory=dict)
+
+    def _repr_html_(self) -> str:
+        rows: list[tuple[str, object]] = [(self.level, self.text)]
+        return table(self.name, rows + [(k, f"{v:.4g}") for k, v in self.figures.items()])

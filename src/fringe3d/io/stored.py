@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from fringe3d.errors import MethodError
 from fringe3d.io.rigfile import read_rig
 from fringe3d.model import Rejection, Rig
+from fringe3d.model.html import picture, table
 
 MAPS = ("points_mm", "sigma_mm", "skew_mm", "offset", "modulation", "order_probability")
 RECORD = ("summary", "time", "versions", "method", "why_this_method", "images_used", "images",
@@ -42,6 +43,11 @@ class StoredResult:
     def rejection(self) -> NDArray[np.uint16]:
         """Return the `Rejection` bits, (row, col)."""
         return np.asarray(self.maps["rejection"], np.uint16)
+
+    def _repr_html_(self) -> str:
+        rows = [(name, self.record[name]) for name in ("summary", "time", "why_this_method")]
+        rows += [(f["level"], f["text"]) for f in self.record["health"] if f["level"] != "ok"]
+        return table(f"result {self.folder}", rows, more=picture(self.maps["points_mm"][..., 2]))
 
 
 def read_result(folder: Path, /) -> StoredResult:

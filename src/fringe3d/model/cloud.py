@@ -8,6 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fringe3d.model._array import frozen, require_shape
+from fringe3d.model.html import picture, table
+from fringe3d.model.rejection import count_by_reason
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -48,6 +50,20 @@ class PointMap:
     def n_points(self) -> int:
         """Return the number of pixels with a point."""
         return int(self.is_valid.sum())
+
+    def _repr_html_(self) -> str:
+        n_pixels = self.rejection.size
+        rows: list[tuple[str, object]] = [("points", f"{self.n_points:,} of {n_pixels:,} pixels")]
+        if self.n_points:
+            good = self.is_valid
+            z, sigma = self.points_mm[..., 2][good], 1000 * np.median(self.sigma_mm[good])
+            rows.append(("z", f"{z.min():.2f} to {z.max():.2f} mm"))
+            rows.append(("sigma along the ray", f"median {sigma:.1f} um"))
+        rows += [
+            (name.replace("_", " ").lower(), f"{count:,} px")
+            for name, count in count_by_reason(self.rejection).items()
+        ]
+        return table("points on the pixels of C1", rows, more=picture(self.points_mm[..., 2]))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from fringe3d.model.html import table
+
 MAX_GRAY_BITS = 16
 """65 536 cells: more than any projector has columns."""
 
@@ -190,6 +192,26 @@ class PatternPlan:
         return PatternPlan(
             patterns=tuple(self.patterns[i] for i in indices), projector_shape=self.projector_shape
         )
+
+    def _repr_html_(self) -> str:
+        rows = [
+            (
+                "fringes",
+                f"{len(s.indices)} steps, period {s.period_px:g} px, {np.degrees(s.angle):g} deg",
+            )
+            for s in self.fringe_sets
+        ]
+        rows += [
+            (
+                "Gray code",
+                f"{len(s.bits)} of {s.n_bits} bits, cells of {s.cell_px:g} px, "
+                f"{np.degrees(s.angle):g} deg{' with inverses' * (max(s.inverses) >= 0)}",
+            )
+            for s in self.gray_sets
+        ]
+        uniform = sum(isinstance(pattern, Uniform) for pattern in self.patterns)
+        rows += [("light and dark", f"{uniform} images")] * bool(uniform)
+        return table(f"plan of {self.n_images} images", rows)
 
     def _shift(self, index: int) -> float:
         pattern = self.patterns[index]

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from fringe3d.model.bias import CalibrationBias
 from fringe3d.model.covariance import RigCovariance
 from fringe3d.model.device import Device
+from fringe3d.model.html import table
 from fringe3d.model.volume import MeasuringVolume
 
 
@@ -55,3 +58,18 @@ class Rig:
     def devices(self) -> tuple[Device, ...]:
         """Return the cameras and, if there is one, the projector."""
         return (*self.cameras, *((self.projector,) if self.projector else ()))
+
+    def _repr_html_(self) -> str:
+        first = self.cameras[0].center_world
+        rows = [
+            (
+                device.name,
+                f"{device.role}, {device.n_cols} x {device.n_rows} px, focal length "
+                f"{device.focal_px.mean():.1f} px; centre of projection "
+                f"{np.linalg.norm(device.center_world - first):.1f} mm from that of C1",
+            )
+            for device in self.devices
+        ]
+        known = [name for name in ("volume", "covariance", "bias") if getattr(self, name)]
+        rows.append(("known", ", ".join(known) or "devices alone"))
+        return table("rig", [*rows, ("provenance", self.provenance or "unknown")])

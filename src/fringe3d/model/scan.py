@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from fringe3d.model.html import table
+from fringe3d.model.plan import PatternPlan
 from fringe3d.model.rig import Rig
 from fringe3d.model.stack import ImageStack
 
@@ -22,3 +24,9 @@ class Scan:
     stacks: tuple[ImageStack, ...]
     rig: Rig | None = None
     title: str = ""
+
+    def _repr_html_(self) -> str:
+        parts: list[Rig | ImageStack | PatternPlan] = [*self.stacks, self.stacks[0].plan]
+        parts += [self.rig] if self.rig else []
+        more = "".join(part._repr_html_() for part in parts)
+        return table(f"scan {self.title}".strip(), [("cameras", len(self.stacks))], more=more)

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fringe3d.model._array import frozen
+from fringe3d.model.html import picture, table
 from fringe3d.model.plan import PatternPlan
 from fringe3d.model.response import Response
 
@@ -88,3 +89,13 @@ class ImageStack:
     def with_response(self, response: Response | None, /) -> ImageStack:
         """Return the stack with another response."""
         return replace(self, response=response)
+
+    def _repr_html_(self) -> str:
+        rows, cols = self.shape
+        figures = [
+            ("size", f"{cols} x {rows} px, {self.images.dtype}"),
+            ("saturated from", f"{self.saturation_dn:g} DN"),
+            ("shown", "the first image"),
+        ]
+        title = f"{len(self.images)} images of camera '{self.device_name}'"
+        return table(title, figures, more=picture(self.images[0], grey=True))

@@ -74,7 +74,7 @@ def packed_cloud(
     Parameters
     ----------
     maps : dict; those of ``points.npz``
-    camera : Device or None; from which side one looks at first; along z if not known
+    camera : Device or None; from which side one looks at first; told from the points if not known
     most : int; points
     """
     valid = maps["rejection"] == 0
@@ -83,7 +83,8 @@ def packed_cloud(
     low, high = points.min(axis=0), points.max(axis=0)
     size = np.maximum(high - low, 1e-6)
     parts = np.round((points - low) / size * LEVELS).astype("<u2")
-    rotation = np.eye(3) if camera is None else camera.device_from_world.rotation
+    seen = maps["points_mm"]
+    rotation = facing(seen) if camera is None else camera.device_from_world.rotation
     return {
         "count": len(places),
         "of": int(valid.sum()),
@@ -93,6 +94,30 @@ def packed_cloud(
         "positions": _text(parts),
         "channels": [_packed(channel, places) for channel in channels_of(maps)],
     }
+
+
+def facing(points_mm: NDArray[Any], /) -> NDArray[np.float64]:
+    """Return how a camera is turned that sees such points: its axes in the world as rows, (3, 3).
+
+    Parameters
+    ----------
+    points_mm : (row, col, 3) float; NaN where there are none
+
+    Examples
+    --------
+    >>> y, x = np.mgrid[:3, :4].astype(float)
+    >>> facing(np.stack([x, -y, 0 * x], axis=-1)).round(6).tolist()
+    [[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]]
+    """
+    row, col = np.nonzero(np.isfinite(points_mm[..., 0]))
+    grid = np.column_stack([col, row, np.ones(len(row))]).astype(np.float64)
+    along = np.linalg.lstsq(grid, points_mm[row, col], rcond=None)[0][:2]
+    if np.linalg.matrix_rank(along) < 2:
+        return np.eye(3)
+    x = along[0] / np.linalg.norm(along[0])
+    y = along[1] - (along[1] @ x) * x
+    y /= np.linalg.norm(y)
+    return np.stack([x, y, np.cross(x, y)])
 
 
 def _packed(channel: Channel, places: NDArray[np.intp]) -> dict[str, Any]:

@@ -10,8 +10,10 @@ import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
 from fringe3d.io.stored import StoredResult
+from fringe3d.model import Device
 from fringe3d.report.advice import LEAST_PART, reason_rows
 from fringe3d.report.cloud_data import CERTAIN, packed_cloud
 from fringe3d.report.maps import Drawer, Window, colour_map, reasons, relief, window_of
@@ -39,14 +41,29 @@ def report_html(stored: StoredResult, /, *, most_points: int = MOST_POINTS) -> s
         rows=rows,
         advice=[row for row in rows if row.part >= LEAST_PART],
         pictures=_pictures(stored),
-        cloud=_cloud(stored, most_points),
+        cloud=_cloud(stored.maps, _camera(stored), most_points),
     )
 
 
 def cloud_html(stored: StoredResult, /, *, most_points: int) -> str:
     """Return a page that holds the 3D view of a result and nothing else; see `report_html`."""
     title = stored.record.get("title") or stored.folder.name
-    return _page("cloud.html", title=title, cloud=_cloud(stored, most_points))
+    return cloud_page(stored.maps, _camera(stored), title=title, most_points=most_points)
+
+
+def cloud_page(
+    maps: dict[str, NDArray[Any]], camera: Device | None, /, *, title: str, most_points: int
+) -> str:
+    """Return a page that holds a 3D view and nothing else.
+
+    Parameters
+    ----------
+    maps : dict; those of ``points.npz``
+    camera : Device or None; from which side one looks at first
+    title : str
+    most_points : int
+    """
+    return _page("cloud.html", title=title, cloud=_cloud(maps, camera, most_points))
 
 
 def _page(template: str, **values: Any) -> str:
@@ -59,11 +76,14 @@ def _page(template: str, **values: Any) -> str:
     return pages.get_template(template).render(script=script, **values)
 
 
-def _cloud(stored: StoredResult, most_points: int) -> dict[str, Any] | None:
-    if not (stored.rejection == 0).any():
-        return None
-    camera = stored.rig.cameras[0] if stored.rig is not None else None
-    return packed_cloud(stored.maps, camera, most=most_points)
+def _camera(stored: StoredResult) -> Device | None:
+    return stored.rig.cameras[0] if stored.rig is not None else None
+
+
+def _cloud(
+    maps: dict[str, NDArray[Any]], camera: Device | None, most_points: int
+) -> dict[str, Any] | None:
+    return packed_cloud(maps, camera, most=most_points) if (maps["rejection"] == 0).any() else None
 
 
 def _figures(stored: StoredResult) -> list[tuple[str, str]]:

@@ -14,7 +14,12 @@ from fringe3d.report.maps import Drawer, colour_map, reasons, relief, window_of,
 
 
 def write_overview(path: Path, result: Measurement, /, *, title: str) -> None:
-    """Write the overview of a measurement as PNG.
+    """Write the overview of a measurement as PNG; see `overview`."""
+    overview(result, title=title).savefig(path)
+
+
+def overview(result: Measurement, /, *, title: str) -> Figure:
+    """Draw a measurement at a glance.
 
     With points: image, modulation, wrapped phase, order, depth, rejected pixels by reason.
     Without a rig: the wrapped phase of every period and direction, and how the periods agree.
@@ -35,7 +40,7 @@ def write_overview(path: Path, result: Measurement, /, *, title: str) -> None:
         axis.tick_params(labelsize=8)
     for axis in axes[len(panels) :]:
         axis.set_visible(False)
-    figure.savefig(path)
+    return figure
 
 
 def _point_panels(result: Measurement) -> list[Drawer]:

@@ -5,6 +5,7 @@ from fringe3d.simulate.mesh import Mesh
 from fringe3d.simulate.objects import OBJECTS, from_file
 from fringe3d.simulate.optics import CameraOptics, ProjectorOptics, Recording, Surface
 from fringe3d.simulate.presets import PRESETS, Preset
+from fringe3d.simulate.quick import simulate
 from fringe3d.simulate.render import Setup, Stage, prepare, record, turntable
 from fringe3d.simulate.scene import Scene
 from fringe3d.simulate.truth import Truth
@@ -26,5 +27,6 @@ __all__ = [
     "knocked",
     "prepare",
     "record",
+    "simulate",
     "turntable",
 ]
