@@ -397,6 +397,21 @@ def test_orders_that_fit_no_place_or_several_are_refused(
         self_calibrate([scan], rig, options)
 
 
+def test_a_plane_without_a_code_is_refused(scans: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """However sure the search is: with other poses a plane fits at other orders as well."""
+    from fringe3d import self_calibration
+    from fringe3d.io.recording import read_scan
+
+    scan = read_scan(scans / "plane")
+    assert scan.rig is not None
+    sure = SimpleNamespace(certainty=1.0, rig=scan.rig)
+    monkeypatch.setattr(self_calibration, "fit_turned", lambda *_, **__: sure)
+    monkeypatch.setattr(self_calibration, "ROUNDS", 1)
+    options = MeasureOptions(method="m6", direction="x", gray_bits=0)
+    with pytest.raises(MethodError, match=r"leave their common plane by 0\.\d%.*no code"):
+        self_calibrate([scan], scan.rig, options)
+
+
 def test_measure_finds_its_own_poses_and_leaves_them_with_the_result(
     scans: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -10,9 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fringe3d.calibrate import (
+    FLAT_PART,
     FittedPoses,
     Homologous,
     ball_center,
+    depth_part,
     fit_poses,
     homologous_points,
     located,
@@ -137,7 +139,8 @@ def self_calibrate(
     ------
     MethodError
         If no device could contradict another: one camera, or two without a projector, with fringes
-        of one direction.
+        of one direction. If nothing says which fringe is which, and other poses go with other
+        fringe orders: several fit, or the points lie in a plane.
     EmptyResultError
         If there are too few homologous points.
 
@@ -170,6 +173,8 @@ def self_calibrate(
             found = _with_orders(recordings, found, options)
     step(work, n_steps, n_steps)
     assert fitted is not None
+    if not is_numbered:
+        _require_depth(points, fitted.devices)
     factor = 1.0
     if length is None:
         found = replace(found, covariance=fitted.joint)
@@ -212,6 +217,24 @@ def _with_orders(
             "image, or record a Gray code or a second direction"
         )
     return fit.rig
+
+
+def _require_depth(points: Sequence[Homologous], devices: Sequence[Device]) -> None:
+    """Raise MethodError if all points lie in a plane.
+
+    Of a plane every order fits as well: a plane a period further on is what turned cameras see.
+    """
+    cloud = np.concatenate([located(p, devices) for p in points])
+    cloud = cloud[np.isfinite(cloud).all(axis=1)]
+    distance = float(np.median(np.linalg.norm(cloud - devices[0].center_world, axis=1)))
+    part = depth_part(cloud, distance)
+    if part < FLAT_PART:
+        raise MethodError(
+            f"self-calibration: expected an object with depth, found points that leave their "
+            f"common plane by {part:.1%} of their distance. The images have no code, and a plane "
+            "fits at other fringe orders as well, with other poses. Take an object that fills the "
+            "measuring volume, or record a Gray code or a second direction"
+        )
 
 
 def _decoded(scan: Scan, rig: Rig, options: MeasureOptions) -> _Recording:

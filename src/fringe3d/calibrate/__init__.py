@@ -26,10 +26,17 @@ from fringe3d.calibrate.moved import Moved, Mover, contradiction, moved_text, wh
 from fringe3d.calibrate.point_error import form_covariance, point_covariance
 from fringe3d.calibrate.poses import FittedPoses, PoseChange, fit_poses, located
 from fringe3d.calibrate.poses_judging import check_poses
-from fringe3d.calibrate.projector import FittedProjector, fit_projector, residual_px
+from fringe3d.calibrate.projector import (
+    FLAT_PART,
+    FittedProjector,
+    depth_part,
+    fit_projector,
+    residual_px,
+)
 
 __all__ = [
     "BOARD_LENSES",
+    "FLAT_PART",
     "LENSES",
     "SHAPES",
     "BadPose",
@@ -64,6 +71,7 @@ __all__ = [
     "circle_centers",
     "compare_rigs",
     "contradiction",
+    "depth_part",
     "expected_contradiction",
     "fit_poses",
     "fit_projector",

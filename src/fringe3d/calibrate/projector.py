@@ -175,7 +175,7 @@ def fit_projector(
     for _ in range(NOISE_ROUNDS):
         begun = with_noise(problem.rows, problem.solve(begun, LENSES[-1]))
     # Of a board distortion and perspective look much alike: it holds one term at most.
-    is_flat = _depth_part(scans, begun.numbers[INDEX["middle_z"]]) < FLAT_PART
+    is_flat = depth_part(_all_points(scans), begun.numbers[INDEX["middle_z"]]) < FLAT_PART
     wanted = (lens,) if lens else LENSES[:2] if is_flat else LENSES
     trials, chosen = choose_lens(problem, begun, wanted)
     fitted = problem.solve(begun, chosen)
@@ -200,7 +200,7 @@ def _result(
     covariance = problem.covariance(fitted, chosen)
     parameters = parameters_of(problem, fitted, covariance, chosen)
     pinhole = [p for p in parameters if p.name.startswith(("focal", "center"))]
-    depth = _depth_part(scans, fitted.numbers[INDEX["middle_z"]])
+    depth = depth_part(_all_points(scans), fitted.numbers[INDEX["middle_z"]])
     _, _, sigma = replace(fitted, extra_px=0.0).predicted(problem.rows)
     return FittedProjector(
         device=device,
@@ -239,10 +239,31 @@ def residual_px(device: Device, scan: LitPoints, /) -> Floats:
     return np.asarray(np.stack(columns, axis=1) - scan.position_px)
 
 
-def _depth_part(scans: Sequence[LitPoints], distance_mm: float) -> float:
-    """Return the range off the common plane that holds 98 % of the points, over the distance."""
-    points = np.concatenate([scan.points_mm for scan in scans])
-    middle = points.mean(axis=0)
-    _, axes = np.linalg.eigh((points - middle).T @ (points - middle))
-    low, high = np.percentile((points - middle) @ axes[:, 0], ROBUST_RANGE)
+def _all_points(scans: Sequence[LitPoints]) -> Floats:
+    return np.concatenate([scan.points_mm for scan in scans])
+
+
+def depth_part(points_mm: Floats, distance_mm: float, /) -> float:
+    """Return by how much points leave their common plane, over their distance.
+
+    Parameters
+    ----------
+    points_mm : (n, 3) float, mm; finite
+    distance_mm : float, mm
+
+    Returns
+    -------
+    float
+        The range off the plane that holds 98 % of the points, over the distance. Below `FLAT_PART`
+        they tell no more than a plane.
+
+    Examples
+    --------
+    >>> xy = np.mgrid[:10, :10].reshape(2, -1)
+    >>> depth_part(np.stack([*xy, xy[0] % 2], axis=1).astype(float), 500.0)
+    0.002
+    """
+    middle = points_mm.mean(axis=0)
+    _, axes = np.linalg.eigh((points_mm - middle).T @ (points_mm - middle))
+    low, high = np.percentile((points_mm - middle) @ axes[:, 0], ROBUST_RANGE)
     return float(high - low) / distance_mm
