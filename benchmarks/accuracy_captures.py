@@ -1,7 +1,9 @@
 #!/usr/bin/env python3
 """Measure the recordings by others and print the table of docs/captures.md.
 
-Usage: FRINGE3D_DATA=FOLDER python benchmarks/accuracy_captures.py
+Usage: FRINGE3D_DATA=FOLDER python benchmarks/accuracy_captures.py [few]
+
+With `few`: the bust from four of its images, against all of them (docs/evidence.md).
 """
 
 from __future__ import annotations
@@ -9,13 +11,17 @@ from __future__ import annotations
 import os
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
+from fringe3d.calibrate import fit_projector, lit_points
 from fringe3d.errors import Fringe3DError
 from fringe3d.health import period_disagreement
 from fringe3d.io.recording import read_scan
+from fringe3d.model import Scan
 from fringe3d.model.rejection import count_by_reason
 from fringe3d.pipeline import Measurement, MeasureOptions, measure
 
@@ -41,13 +47,13 @@ def main() -> None:
     """Print one row for each run."""
     if not DATA.is_dir():
         sys.exit(f"{DATA}: expected the folder of the captures; set FRINGE3D_DATA")
+    if sys.argv[1:] == ["few"]:
+        four_images_of_the_bust()
+        return
     print("| recording | options | method | points | z 0.1-99.9 %, mm | sigma, mm | mended | s |")
     print("|---|---|---|---|---|---|---|---|")
     for name, options in RUNS:
-        scan = read_scan(
-            ROOT / "examples" / "captures" / f"{name}.toml",
-            images=DATA / name.removesuffix("-0020").removesuffix("-0021"),
-        )
+        scan = captured(name)
         start = time.perf_counter()
         try:
             result = measure(scan, options)
@@ -59,6 +65,56 @@ def main() -> None:
         for finding in result.findings:
             print(f"<!-- {name}: {finding.level}: {finding.text} -->")
         print(f"<!-- {name}: {count_by_reason(result.rejection)} -->", flush=True)
+
+
+def captured(name: str) -> Scan:
+    """Read a recording by its description."""
+    folder = name.removesuffix("-0020").removesuffix("-0021")
+    return read_scan(ROOT / "examples" / "captures" / f"{name}.toml", images=DATA / folder)
+
+
+def four_images_of_the_bust() -> None:
+    """Find the projector by the full code, then measure with four images and no code.
+
+    Prints which part of the points of the full code is there, and how many have another order:
+    with the same rig and depth, and as two cameras without a projector find them.
+    """
+    scan = captured("slmaster-bust-rendered")
+    assert scan.rig is not None
+    shape = scan.stacks[0].plan.projector_shape
+    assert shape is not None
+    cameras = replace(scan, rig=replace(scan.rig, projector=None, volume=None, covariance=None))
+    whole = measure(cameras, MeasureOptions(method="m1", drop_edges=True))
+    assert whole.points is not None
+    seen = lit_points(whole.points, [whole.main], scan.rig.cameras[0], name="bust")
+    fitted = fit_projector([seen], shape)
+    residual = float(np.nanmedian(np.abs(fitted.residual_px[0])))
+    print(f"projector: half of the points within {residual:.3f} px", flush=True)
+    rig = replace(scan.rig, projector=fitted.device, covariance=None)
+    depth = (490.0, 680.0)
+    few = measure(
+        replace(scan, rig=rig),
+        MeasureOptions(method="m6", n_shifts=4, gray_bits=0, depth_mm=depth),
+    )
+    same = measure(replace(scan, rig=rig), MeasureOptions(method="m1", depth_mm=depth))
+    for what, full in (
+        ("same rig and depth", same),
+        ("two cameras alone", measure(cameras, MeasureOptions(method="m1"))),
+    ):
+        assert few.points is not None
+        assert full.points is not None
+        both = few.points.is_valid & full.points.is_valid
+        # Next to a wrap the same point may have one order more and a period of phase less.
+        other = int((np.abs(turns(few) - turns(full))[both] > 0.5).sum())
+        print(f"full code, {what}: {full.points.n_points:,} points; with four images "
+              f"{both.sum() / full.points.n_points:.2%} of them, {other:,} of {both.sum():,} "
+              "with another order")  # fmt: skip
+
+
+def turns(result: Measurement) -> NDArray[np.float64]:
+    """Return the absolute phase, periods."""
+    assert result.matches is not None
+    return np.asarray(result.matches.fringe_order + result.main.phase / (2 * np.pi))
 
 
 def wording(options: MeasureOptions) -> str:
