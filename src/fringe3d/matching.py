@@ -17,6 +17,7 @@ from fringe3d.correspond import (
     choose_orders,
     coarse_stride,
     confirm_orders,
+    doubt_at_borders,
     fringe_crossing,
     locate,
     match_both_directions,
@@ -293,7 +294,7 @@ def _match_three(
     matches = replace(
         matches,
         fringe_order=np.where(good, chosen.phases.order_class, NO_ORDER),
-        order_probability=np.where(good, chosen.probability, np.nan),
+        order_probability=np.where(good, doubt_at_borders(chosen.probability, good), np.nan),
     )
     return Matched(matches, chosen.bias, chosen.rival_shift, located=located)
 

@@ -1,5 +1,6 @@
 """Where another device sees what a pixel of C1 sees."""
 
+from fringe3d.correspond.borders import doubt_at_borders
 from fringe3d.correspond.both_directions import match_both_directions
 from fringe3d.correspond.candidates import FIT_SIGMA, ChosenOrders, choose_orders
 from fringe3d.correspond.curves import keep_curves, ray_curves
@@ -36,6 +37,7 @@ __all__ = [
     "choose_orders",
     "coarse_stride",
     "confirm_orders",
+    "doubt_at_borders",
     "epipolar_direction",
     "fringe_crossing",
     "guard_px",
