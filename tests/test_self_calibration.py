@@ -568,3 +568,8 @@ def test_measure_names_the_device_that_moved(scans: Path) -> None:
         told = [f.text for f in measure(replace(scan, rig=rig)).warnings if f.name == "moved_px"]
         assert len(told) == 1
         assert f"device '{name}' has moved" in told[0]
+    options = MeasureOptions(direction="x")
+    told = [f.text for f in measure(replace(scan, rig=rig), options).warnings
+            if f.name == "moved_px"]  # fmt: skip
+    assert len(told) == 1
+    assert "not determined by fringes of one direction" in told[0]

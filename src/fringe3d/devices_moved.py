@@ -111,12 +111,13 @@ def _moved(
     maps = [direction.main for direction in phases[0].directions]
     pairs = zip(phases[1].directions, maps, strict=True)
     sparse = [_sparse(m) for m in maps]
-    matches = freely_matched(sparse, [d.like(m) for d, m in pairs], devices) or matches
-    points = [homologous_of(phases[:2], matches, devices)]
+    free = freely_matched(sparse, [d.like(m) for d, m in pairs], devices)
+    points = [homologous_of(phases[:2], free or matches, devices)]
     try:
         if contradiction(points, devices) < limit_px:
             return []
         moved = which_moved(points, devices)
+        moved = replace(moved, is_free=free is not None and len(maps) > 1)
     except EmptyResultError:
         return []
     if moved.residual_px < EPIPOLAR_WARNING_PX and not moved.is_of_poses:

@@ -67,12 +67,16 @@ class Moved:
         Median of the contradictions with the calibration, and with the best poses of all devices.
     loss : float; what stays with the best poses of all devices, squared sigmas
     movers : tuple of Mover; the likeliest first
+    is_free : bool
+        Whether the points were found without the poses. If they were searched on epipolar curves,
+        a device that moved moved them, too, and another may seem to be it.
     """
 
     residual_px: float
     left_px: float
     loss: float
     movers: tuple[Mover, ...]
+    is_free: bool = True
 
     @property
     def is_of_poses(self) -> bool:
@@ -85,7 +89,7 @@ class Moved:
 
         With one camera only the projector moves relative to it: that tells nothing.
         """
-        if len(self.movers) < 3:
+        if len(self.movers) < 3 or not self.is_free:
             return None
         first, second = self.movers[:2]
         open1, open2 = first.loss - self.loss, second.loss - self.loss
@@ -192,10 +196,11 @@ def moved_text(moved: Moved, /) -> str:
             f"no poses bring the devices together (contradictions of {undone}): lenses have "
             "changed, or the rig is another one"
         )
+    why = "" if moved.is_free else " by fringes of one direction"
     each = ", ".join(f"'{mover.device}' alone {mover.explained:.1%}" for mover in moved.movers)
     return (
-        f"devices have moved since the calibration; which is not determined (contradictions of "
-        f"{undone}; explained by {each})"
+        f"devices have moved since the calibration; which is not determined{why} (contradictions "
+        f"of {undone}; explained by {each})"
     )
 
 
