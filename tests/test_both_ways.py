@@ -11,6 +11,7 @@ from closed_phases import PLANE, grid_of, phase_map, seen_points, small_rig, tas
 from cv_lens import cv_project
 from fringe3d.correspond import TwoViews
 from fringe3d.correspond.both_ways import agrees_with_c2, swapped
+from fringe3d.correspond.choice import Weighed
 from fringe3d.correspond.solving import nothing_known
 
 pytestmark = pytest.mark.usefixtures("one_thread")
@@ -39,9 +40,11 @@ def test_only_the_pixel_that_sees_a_lone_candidate_refutes_it(n_classes: int, st
     open_ = back.pixels[:, 0] % SLIVER_PX == 2
     wrong = replace(
         other,
-        candidates=replace(other.candidates, orders=other.candidates.orders + np.int32(4)),
+        table=Weighed(
+            replace(back.listed, orders=back.listed.orders + np.int32(4)),
+            np.zeros(back.listed.orders.shape, np.float32),
+        ),
         probability=np.where(open_, 0.6, 1.0),
-        costs=np.zeros_like(other.costs),
     )
     agrees = np.zeros(task.valid.shape, bool)
     agrees[task.valid] = agrees_with_c2(task, chosen, back, wrong, strict=strict)

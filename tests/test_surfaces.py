@@ -15,7 +15,7 @@ from closed_form import sphere_distance
 from closed_phases import Surface, grid_of, phase_map, seen_points, small_rig, true_turns
 from closed_phases import task_of as solid_task
 from fringe3d.correspond import TwoViews, _orders, whole
-from fringe3d.correspond.choice import Candidates, Choice
+from fringe3d.correspond.choice import Candidates, Choice, Weighed
 from fringe3d.correspond.grid import index_of, rises_of
 from fringe3d.correspond.surfaces import no_surer_than_most
 from fringe3d.correspond.whole import made_whole
@@ -63,7 +63,12 @@ def choice_of(task: Any, turns: Floats, off: Any, cost: Any = 0.0) -> Choice:
     inside = np.ones_like(costs, bool)
     candidates = Candidates(first, 1, orders, shown, np.zeros_like(costs), inside)
     place = np.broadcast_to(off, valid.shape)[valid].astype(np.intp) + 4
-    return Choice(candidates, costs, place, np.full(n, 0.999), np.zeros(n))
+    return Choice(Weighed(candidates, costs), place, np.full(n, 0.999), np.zeros(n))
+
+
+def listed_of(chosen: Choice) -> Candidates:
+    assert isinstance(chosen.table, Weighed)
+    return chosen.table.candidates
 
 
 def off_of(task: Any, turns: Floats, chosen: Choice) -> NDArray[np.int64]:
@@ -166,7 +171,7 @@ def test_a_few_clear_pixels_do_not_carry_the_others() -> None:
 def test_other_evidence_refutes_as_well() -> None:
     task = task_of(FLAT)
     chosen = choice_of(task, FLAT, PATCH)
-    chosen.candidates.extras[PATCH.ravel(), 4] = 100.0
+    listed_of(chosen).extras[PATCH.ravel(), 4] = 100.0
     assert (off_of(task, FLAT, made_whole(task, chosen)) == PATCH).all()
 
 
@@ -231,7 +236,7 @@ def test_what_stands_before_a_table_hides_it_from_c2() -> None:
     grid = grid_of(rig.cameras[0])
     turns = true_turns(rig.cameras[0], rig.projector, ball, grid)
     true = np.floor(turns)[task.valid].astype(np.int32)
-    place, listed = chosen.candidates.place_of(true, np.arange(len(true)))
+    place, listed = chosen.table.place_of(true, np.arange(len(true)))
     found = np.zeros(task.valid.shape, bool)
     found[task.valid] = whole._hidden_from_c2(task, replace(chosen, place=place))
     points, _, on_ball = seen_points(rig.cameras[0], grid, ball)
@@ -265,7 +270,7 @@ def test_gaps_and_missing_candidates() -> None:
     # Two steps below the lowest candidate there is nothing to move to.
     task = task_of(FLAT)
     chosen = choice_of(task, FLAT, np.where(PATCH, 3, -3))
-    chosen.candidates.orders[PATCH.ravel(), :4] = NO_ORDER
+    listed_of(chosen).orders[PATCH.ravel(), :4] = NO_ORDER
     off = off_of(task, FLAT, made_whole(task, chosen))
     assert (off[PATCH] == 3).all()
     assert (off[~PATCH] == -3).all()
@@ -274,5 +279,5 @@ def test_gaps_and_missing_candidates() -> None:
 def test_nothing_known() -> None:
     task = task_of(FLAT)
     chosen = choice_of(task, FLAT, 0)
-    chosen.candidates.orders[:] = NO_ORDER
+    listed_of(chosen).orders[:] = NO_ORDER
     assert made_whole(task, chosen) is chosen

@@ -14,7 +14,7 @@ from scipy.ndimage import binary_erosion, distance_transform_edt
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import breadth_first_order, connected_components, minimum_spanning_tree
 
-from fringe3d.correspond.choice import Choice
+from fringe3d.correspond.choice import Choice, Weighed
 from fringe3d.correspond.weighing import LARGEST_COST, Task
 from fringe3d.model import NO_ORDER
 
@@ -49,9 +49,10 @@ def deciding_by_vote(unwrapping: Unwrapping, /) -> AbstractContextManager[Any]:
 
 
 def _voted(task: Task, chosen: Choice, turns: Ints, region: Ints) -> Choice:
+    assert isinstance(chosen.table, Weighed)
     orders = task.listed.orders
     there = orders != NO_ORDER
-    saved = np.maximum(LARGEST_COST - np.nan_to_num(chosen.costs / 2, nan=LARGEST_COST), 0)
+    saved = np.maximum(LARGEST_COST - np.nan_to_num(chosen.table.cost / 2, nan=LARGEST_COST), 0)
     shift, certainty = winners(
         np.repeat(region, there.sum(axis=1)),
         (orders - turns[:, None])[there],

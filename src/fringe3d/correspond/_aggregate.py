@@ -197,6 +197,43 @@ def choose(energy, is_label, is_inside, outside_cost, place, probability, outsid
         outside[i] = beyond / total if total > 0 else np.nan
 
 
+@njit(cache=True, nogil=True, error_model="numpy")
+def choose_from_paths(totals, own, found, label_step, inside, outside_cost, chosen, rows):  # type: ignore[no-untyped-def]
+    """Do what `choose` does for orders that stand in a row, from the sums of both sweeps.
+
+    totals (2, n, m), own (n, m): see `aggregate`, totals (0, 0, 0) where nothing is aggregated;
+    found, inside (n, 2): lowest and highest order of the pixel, and inside the volume; label_step:
+    their distance. chosen = (place, probability, outside), (n,), written.
+    """
+    place, probability, outside = chosen
+    together, more = totals.shape[0] > 0, np.int64(outside_cost)
+    values = np.empty(own.shape[1], np.int64)
+    for i in range(rows[0], rows[1]):
+        count = min((found[i, 1] - found[i, 0]) // label_step + 1, own.shape[1])
+        best, least = 0, 1_000_000_000
+        for a in range(count):
+            order = found[i, 0] + a * label_step
+            cost = own[i, a]
+            value = np.int64(cost)
+            if together:
+                value = np.int64(U16(totals[0, i, a] + totals[1, i, a] - (N_PATHS - 1) * cost))
+            value += 0 if inside[i, 0] <= order <= inside[i, 1] else more
+            values[a] = value if cost < FAR else 1_000_000_000
+            if values[a] < least:
+                best, least = a, values[a]
+        total, beyond = 0.0, 0.0
+        for a in range(count):
+            if values[a] - least < MOST_APART * UNIT:
+                weight = math.exp((least - values[a]) / UNIT) if values[a] > least else 1.0
+                total += weight
+                order = found[i, 0] + a * label_step
+                beyond += 0.0 if inside[i, 0] <= order <= inside[i, 1] else weight
+        known = least < 1_000_000_000
+        place[i] = best
+        probability[i] = 1 / total if known else np.nan
+        outside[i] = beyond / total if known else np.nan
+
+
 def padded(n_labels: int, /) -> int:
     """Return the number of labels that kernels take: a multiple of the vector's length."""
     return -(-n_labels // LANES) * LANES
@@ -223,8 +260,22 @@ def aggregate(
     if jumps is None:
         jumps = np.empty((len(costs), len(WAYS)), np.uint16)
         write_jumps(phase, index, jumps)
-    totals = np.zeros((2, *costs.shape), np.uint16)
-    _both_sweeps(phase, index, first, label_step, jumps, costs, totals)
+    totals = paths(phase, index, first, label_step, costs, jumps)
     energy = np.empty_like(costs)
     _summed(totals, costs, energy)
     return energy
+
+
+def paths(
+    phase: NDArray[np.float32],
+    index: NDArray[np.int32],
+    first: NDArray[np.int32],
+    label_step: int,
+    costs: NDArray[np.uint16],
+    jumps: NDArray[np.uint16],
+    /,
+) -> NDArray[np.uint16]:
+    """Return the sums of the four paths down and of the four up, (2, n, m); see `aggregate`."""
+    totals = np.zeros((2, *costs.shape), np.uint16)
+    _both_sweeps(phase, index, first, label_step, jumps, costs, totals)
+    return totals

@@ -108,7 +108,7 @@ def agrees_with_c2(
         decided, chosen_back.order + phases2.phase[back.valid] / TWO_PI, np.nan
     )
     certain2[back.valid] = certain
-    is_alone = task.listed.is_inside.sum(axis=1) < 2
+    is_alone = task.n_inside() < 2
     n_certain, n_agree = np.empty(len(turns1), np.int8), np.empty(len(turns1), np.int8)
     over_rows(
         _around.count, len(turns1), chosen.depth_mm, task.rays_2, task.camera2, turns1, is_alone,

@@ -146,7 +146,8 @@ def choose_orders(
     if has_code and is_alone and together and not (search or strict or plain):
         return _clearly(views, projector, volume, bias, min_probability, fit_sigma)
     measured, views = views, quiet(views) if search else views
-    task = Task(views, projector, volume, fit_sigma**2, together)
+    keeps = plain or bool(witnesses.cameras)
+    task = Task(views, projector, volume, fit_sigma**2, together, keeps=keeps)
     panel = ask(task, witnesses, projector, volume)
     if search:
         stride = coarse_stride(views.phases1.phase)
@@ -167,7 +168,7 @@ def choose_orders(
     agrees, surface = np.ones(len(task.pixels), bool), np.zeros(len(task.pixels), bool)
     if together and not views.phases1.is_absolute and len(task.pixels):
         back_views = swapped(views) if search else asked_of_c2(task, chosen)
-        back = Task(back_views, projector, volume, task.limit, together=True)
+        back = Task(back_views, projector, volume, task.limit, together=True, keeps=plain)
         agrees, surface = _confirmed(task, chosen, bias, back, projector, strict=strict)
     rejection = _rejection(task, chosen, agrees, min_probability)
     if search:
@@ -192,7 +193,7 @@ def _no_surer_than_rivals(task: Task, chosen: Choice, found: Rivals) -> Choice:
 
 def _unsure(task: Task, chosen: Choice) -> Choice:
     """Leave open what has several candidates: all share the same error, and nothing tells it."""
-    is_only = task.is_label.sum(axis=1) == 1
+    is_only = task.n_labels() == 1
     return replace(
         chosen, probability=chosen.probability * is_only, outside=chosen.outside * is_only
     )

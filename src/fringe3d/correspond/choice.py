@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Protocol
 
@@ -11,6 +11,10 @@ from numpy.typing import NDArray
 
 from fringe3d.correspond import _orders
 from fringe3d.correspond.bias import Evidence
+
+Places = NDArray[np.intp]
+Index = NDArray[np.intp] | slice
+Shown = NDArray[np.float32]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,21 +51,91 @@ class Placed(Protocol):
         """Return the distances along the rays."""
 
 
+class Table(Protocol):
+    """What is known of the candidates of each pixel; each method for one of each, or of some."""
+
+    def orders(self, place: Places, index: Index = ..., /) -> NDArray[np.int32]:
+        """Return the orders, `NO_ORDER` for none."""
+
+    def costs(self, place: Places, index: Index = ..., /) -> NDArray[np.float32]:
+        """Return the squared deviation in C2 over its variance, NaN where it sees no point."""
+
+    def both(self, place: Places, index: Index = ..., /) -> tuple[Shown, NDArray[np.float32]]:
+        """Return `shown` and `costs`."""
+
+    def extras(self, place: Places, index: Index = ..., /) -> NDArray[np.float32]:
+        """Return what all else has against them, squared deviations."""
+
+    def shown(self, place: Places, index: Index = ..., /) -> Shown:
+        """Return what C2 shows of them, (n, N_SHOWN) as in `_orders`."""
+
+    def is_inside(self, place: Places, index: Index = ..., /) -> NDArray[np.bool_]:
+        """Tell whether they lie in the volume."""
+
+    def place_of(
+        self, orders: NDArray[Any], index: NDArray[Any], /
+    ) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
+        """Return at which place the pixels `index` have given orders, and whether they do."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Weighed:
+    """A `Table` of listed candidates and their costs, (n, m)."""
+
+    candidates: Candidates
+    cost: NDArray[np.float32]
+
+    def orders(self, place: Places, index: Index = slice(None), /) -> NDArray[np.int32]:
+        """See `Table`."""
+        return _at(self.candidates.orders, place, index)
+
+    def costs(self, place: Places, index: Index = slice(None), /) -> NDArray[np.float32]:
+        """See `Table`."""
+        return _at(self.cost, place, index)
+
+    def both(
+        self, place: Places, index: Index = slice(None), /
+    ) -> tuple[Shown, NDArray[np.float32]]:
+        """See `Table`."""
+        return self.shown(place, index), self.costs(place, index)
+
+    def extras(self, place: Places, index: Index = slice(None), /) -> NDArray[np.float32]:
+        """See `Table`."""
+        return _at(self.candidates.extras, place, index)
+
+    def shown(self, place: Places, index: Index = slice(None), /) -> Shown:
+        """See `Table`."""
+        return _at(self.candidates.shown, place, index)
+
+    def is_inside(self, place: Places, index: Index = slice(None), /) -> NDArray[np.bool_]:
+        """See `Table`."""
+        return _at(self.candidates.is_inside, place, index)
+
+    def place_of(
+        self, orders: NDArray[Any], index: NDArray[Any], /
+    ) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
+        """See `Table`."""
+        return self.candidates.place_of(orders, index)
+
+
+def _at(table: NDArray[Any], place: Places, index: Index) -> NDArray[Any]:
+    index = np.arange(len(place)) if isinstance(index, slice) else index
+    return np.asarray(table[index, place])
+
+
 @dataclass(frozen=True, eq=False)
 class Choice:
     """Which candidate is chosen for each valid pixel.
 
     Parameters
     ----------
-    candidates : Candidates
-    costs : (n, m) float; squared residual over its variance, NaN where C2 does not see the point
+    table : Table
     place : (n,) int; of the one chosen
     probability : (n,) float
     outside : (n,) float; probability that the point lies outside the volume
     """
 
-    candidates: Candidates
-    costs: NDArray[np.float32]
+    table: Table
     place: NDArray[np.intp]
     probability: NDArray[np.float64]
     outside: NDArray[np.float64]
@@ -69,27 +143,31 @@ class Choice:
     @cached_property
     def order(self) -> NDArray[np.int32]:
         """Return the chosen orders, (n,)."""
-        return self._at(self.candidates.orders)
+        return self.table.orders(self.place)
+
+    @cached_property
+    def _both(self) -> tuple[Shown, NDArray[np.float32]]:
+        return self.table.both(self.place)
 
     @cached_property
     def cost(self) -> NDArray[np.float64]:
         """Return what C2 has against them, (n,); NaN where it does not see the point."""
-        return self._at(self.costs).astype(np.float64)
+        return self._both[1].astype(np.float64)
 
     @cached_property
     def is_inside(self) -> NDArray[np.bool_]:
         """Tell whether the points lie in the volume, (n,)."""
-        return self._at(self.candidates.is_inside)
+        return self.table.is_inside(self.place)
 
-    @cached_property
-    def shown(self) -> NDArray[np.float32]:
+    @property
+    def shown(self) -> Shown:
         """Return what C2 shows of them, (n, N_SHOWN) as in `_orders`."""
-        return self._at(self.candidates.shown)
+        return self._both[0]
 
     @cached_property
     def extra(self) -> NDArray[np.float64]:
         """Return what all else has against them, (n,) squared deviations."""
-        return self._at(self.candidates.extras).astype(np.float64)
+        return self.table.extras(self.place).astype(np.float64)
 
     @cached_property
     def is_seen(self) -> NDArray[np.bool_]:
@@ -101,8 +179,19 @@ class Choice:
         """Return the distance along the ray, (n,)."""
         return self.shown[:, _orders.DEPTH].astype(np.float64)
 
-    def _at(self, table: NDArray[Any]) -> NDArray[Any]:
-        return np.asarray(table[np.arange(len(self.place)), self.place])
+    def moved(
+        self, index: NDArray[np.intp], place: Places, probability: NDArray[np.float64], /
+    ) -> Choice:
+        """Return it with other candidates of the pixels `index`, and all probabilities, (n,)."""
+        places = self.place.copy()
+        places[index] = place
+        other = replace(self, place=places, probability=probability)
+        shown, costs = self._both
+        if len(index):
+            shown, costs = shown.copy(), costs.copy()
+            shown[index], costs[index] = self.table.both(place, index)
+        other.__dict__["_both"] = shown, costs  # not looked up again
+        return other
 
     def clear(self, pixels: NDArray[np.float64], where: NDArray[Any], /) -> Evidence:
         """Return what some of the pixels tell of the calibration."""

@@ -125,7 +125,7 @@ def _open_task(
     kept = spread(found.state == _clear.OPEN, AROUND_PX) & (found.state > _clear.NOTHING)
     left_out = np.where(kept, np.uint16(0), np.uint16(Rejection.NO_MATCH))
     part = replace(views, phases1=views.phases1.rejecting(left_out))
-    task = Task(part, projector, volume, limit, together=True)
+    task = Task(part, projector, volume, limit, together=True, keeps=False)
     settled = np.where(found.is_settled, found.order, np.int32(NO_ORDER)).ravel()[task.where]
     task.settle(settled)
     return task
@@ -177,7 +177,7 @@ def choose_clearly(
     agrees.ravel()[task.where[is_open]] = False
     where = np.flatnonzero(np.isfinite(turns) & ~agrees).astype(np.int32)
     is_alone = np.ones(turns.shape, np.bool_)
-    is_alone.ravel()[task.where[is_open]] = task.listed.is_inside[is_open].sum(axis=1) < 2
+    is_alone.ravel()[task.where[is_open]] = task.n_inside()[is_open] < 2
     n_certain, n_agree = np.empty(len(where), np.int8), np.empty(len(where), np.int8)
     over_rows(
         _around.count, len(where), depth.ravel()[where].astype(np.float64),

@@ -3,18 +3,25 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fringe3d.correspond import _aggregate, _orders
+from fringe3d.correspond import _aggregate, _listing, _orders
 from fringe3d.correspond.bias import Frame, frame_of
-from fringe3d.correspond.choice import Candidates, Choice
+from fringe3d.correspond.choice import Candidates, Choice, Index, Shown, Weighed
 from fringe3d.correspond.curves import ray_curves
 from fringe3d.correspond.grid import index_of, numbers_of, rises_of
 from fringe3d.correspond.projector import GUARD_PX, GUARD_SIGMA
+from fringe3d.correspond.unlisted import (
+    Ranges,
+    Unlisted,
+    field_of,
+    has_one_class_a_column,
+    over_tiles,
+)
 from fringe3d.geometry import grid_rays
 from fringe3d.geometry.projection import lens_of
 from fringe3d.kernels import over_rows
@@ -26,6 +33,8 @@ from fringe3d.model import (
     PhaseMap,
     WrappedPhaseMap,
 )
+
+f4 = np.float32
 
 TWO_PI = 2 * np.pi
 
@@ -49,7 +58,7 @@ MOST_SIGMA = 1 / 12
 """Turns; residuals that are less certain reject nothing: six deviations are half a turn."""
 
 SAMPLE = 2000
-"""Pixels that show in which direction the phase rises."""
+"""Pixels that show in which direction the phase rises, and how far apart candidates are."""
 
 CLEAR = 0.99
 """Probability of the decisions from which the bias is learnt."""
@@ -93,7 +102,9 @@ class TwoViews:
 class Task:
     """The candidates of the pixels of one measurement; they do not depend on the bias.
 
-    With a `stride` (rows, columns) it takes a part of the pixels.
+    With a `stride` (rows, columns) it takes a part of the pixels. What C2 shows of the candidates
+    is kept, for many weighings; without `keeps` it is looked up again where it is asked for, if
+    nothing but C2 and all pixels together judge them.
     """
 
     def __init__(
@@ -104,6 +115,8 @@ class Task:
         limit: float,
         together: bool,
         stride: tuple[int, int] = (1, 1),
+        *,
+        keeps: bool = True,
     ) -> None:
         phases1, phases2 = views.phases1, views.phases2
         self.views, self.limit, self.together = views, limit, together
@@ -135,7 +148,10 @@ class Task:
             phases1.class_of_order,
             phases1.first_order,
         )
-        self.listed = self._listed()
+        self.ranges = self._ranges()
+        self.keeps = keeps or not self._may_be_unlisted()
+        if self.keeps:
+            self.listed = self._listed()
         self.before = np.full(len(self.where), np.nan)  # absolute phase in the frame before, turns
 
     @cached_property
@@ -198,29 +214,34 @@ class Task:
             np.array([error for _, error in maps]),
         )
 
-    def _listed(self) -> Candidates:
-        phases1, n, tables = self.views.phases1, len(self.where), self.tables
-        classes, label_step = self._of(phases1.order_class), label_step_of(phases1)
+    def _may_be_unlisted(self) -> bool:
+        views, step = self.views, self.ranges.label_step
+        alone = views.second is None and not views.periods1
+        return self.together and alone and has_one_class_a_column(views.phases1, step)
+
+    def _ranges(self) -> Ranges:
+        phases1, n = self.views.phases1, len(self.where)
         found, inside = np.empty((n, 2), np.int32), np.empty((n, 2), np.int32)
-        spans = tables.wide.reshape(-1, 2), tables.inner.reshape(-1, 2)
-        guard = GUARD_SIGMA * phases1.period_px / TWO_PI, GUARD_PX
         over_rows(
             _orders.find_range,
             n,
             self.where,
-            spans,
-            guard,
-            classes,
+            (self.tables.wide.reshape(-1, 2), self.tables.inner.reshape(-1, 2)),
+            (GUARD_SIGMA * phases1.period_px / TWO_PI, GUARD_PX),
+            self._of(phases1.order_class),
             phases1.period_px,
             self.first,
             found,
             inside,
         )
-        n_orders = int((found[:, 1] - found[:, 0]).max(initial=0)) + 1
-        shape = (n, -(-n_orders // label_step))
+        return Ranges(found, inside, label_step_of(phases1))
+
+    def _listed(self) -> Candidates:
+        phases1, n, ranges = self.views.phases1, len(self.where), self.ranges
+        shape = n, max(1, ranges.n_most)
         listed = Candidates(
-            first=np.ascontiguousarray(found[:, 0]),
-            label_step=label_step,
+            first=np.ascontiguousarray(ranges.found[:, 0]),
+            label_step=ranges.label_step,
             orders=np.empty(shape, np.int32),
             shown=np.empty((*shape, _orders.N_SHOWN), np.float32),
             extras=np.empty(shape, np.float32),
@@ -228,11 +249,44 @@ class Task:
         )
         task = (self.projector, self.camera2, phases1.period_px, self.first, self._others())
         over_rows(
-            _orders.list_candidates, n, self.where, classes, (found, inside), label_step,
-            (tables.curves, self._directions.reshape(-1, 3), *self._rotations), task,
+            _orders.list_candidates, n, self.where, self._of(phases1.order_class),
+            (ranges.found, ranges.inside), ranges.label_step,
+            (self.tables.curves, self._directions.reshape(-1, 3), *self._rotations), task,
             listed.orders, listed.shown, listed.extras, listed.is_inside,
         )  # fmt: skip
         return listed
+
+    def n_inside(self) -> NDArray[Any]:
+        """Return how many candidates lie in the volume, (n,)."""
+        return self.listed.is_inside.sum(axis=1) if self.keeps else self.ranges.n_inside()
+
+    def n_labels(self) -> NDArray[Any]:
+        """Return how many candidates there are, (n,)."""
+        return self.is_label.sum(axis=1) if self.keeps else self.ranges.counts()
+
+    def _looking(self) -> tuple[Any, ...]:
+        """Return C2's phases, tables and devices as `_listing` takes them."""
+        phases1, phases2 = self.views.phases1, self.views.phases2
+        names = phases1.class_of_order
+        second = (
+            phases2.phase.reshape(-1), phases2.phase_std.reshape(-1),
+            phases2.order_class.reshape(-1), phases2.phase.shape, names.astype(np.float32),
+            f4(phases1.first_order), len(np.unique(names)) > 1,
+        )  # fmt: skip
+        rays = self._directions.reshape(-1, 3), *self._rotations
+        tables = self.tables.curves, f4(phases1.period_px), rays
+        return second, tables, (self.projector, self.camera2)
+
+    def _look(
+        self, field: tuple[NDArray[Any], ...], orders: NDArray[np.int32], index: Index, /
+    ) -> tuple[Shown, NDArray[np.float32]]:
+        """Return what C2 shows of one order of each pixel, or of some, (n, N_SHOWN), and the
+        squared deviations, (n,), with a bias as `field_of` returns it."""
+        maps = np.empty((len(orders), _orders.N_SHOWN), np.float32), np.empty(len(orders), f4)
+        first = self.first[0][index], self.first[1][index]
+        over_tiles(_listing.show_listed, len(orders), self.where[index], first, orders,
+                   *self._looking(), field, f4(MOST_SIGMA**2), maps)  # fmt: skip
+        return maps
 
     def hear(self, costs: NDArray[np.float64]) -> None:
         """Add what other evidence has against the candidates, (n, m) squared deviations."""
@@ -240,6 +294,9 @@ class Task:
 
     def settle(self, orders: NDArray[np.int32]) -> None:
         """Leave pixels whose order is settled, (n,), no other candidate; `NO_ORDER` for none."""
+        if not self.keeps:
+            self.ranges = self.ranges.settled(orders)
+            return
         listed = self.listed.orders
         other = (orders != NO_ORDER)[:, None] & (listed != orders[:, None])
         self.listed = replace(self.listed, orders=np.where(other, np.int32(NO_ORDER), listed))
@@ -271,28 +328,59 @@ class Task:
         return bias.coefficients_px, bias.middle, bias.scale, covariance
 
     @cached_property
+    def sample(self) -> Shown:
+        """Return what C2 shows of all candidates of some pixels, (k, m, N_SHOWN)."""
+        every = slice(None, None, max(1, len(self.where) // SAMPLE))
+        if self.keeps:
+            return self.listed.shown[every]
+        ranges, nothing = self.ranges, field_of(self.frame.constant((0, 0), scatter_px=0.0), None)
+        part = Ranges(ranges.found[every], ranges.inside[every], ranges.label_step)
+        places = range(max(1, part.n_most))
+        return np.stack([self._look(nothing, part.orders(a), every)[0] for a in places], axis=1)
+
+    @cached_property
     def _across_fringes(self) -> NDArray[np.float64]:
         """Return the direction, (2,), in which the phase rises in C2: the bias shows along it."""
-        shown = self.listed.shown[:: max(1, len(self.where) // SAMPLE)]
-        steepest = np.nansum(shown[..., [_orders.GRADIENT_X, _orders.GRADIENT_Y]], axis=(0, 1))
+        gradient = self.sample[..., [_orders.GRADIENT_X, _orders.GRADIENT_Y]]
+        steepest = np.nansum(gradient, axis=(0, 1))
         return np.asarray(steepest / max(float(np.linalg.norm(steepest)), 1e-30), np.float64)
 
     def decide(self, bias: CalibrationBias, *, scatter_px: float | None = None) -> Choice:
         """Weigh the candidates, and choose; `scatter_px` as in `costs`."""
+        if not self.keeps:
+            return self._decided_unlisted(bias, scatter_px)
         costs, n = self.costs(bias, scatter_px=scatter_px), len(self.where)
         place, probability, outside = np.empty(n, np.intp), np.empty(n), np.empty(n)
-        outside_cost = int(_aggregate.UNIT * OUTSIDE_COST)
         over_rows(
             _aggregate.choose, n, self._energy(costs), self.is_label, self.listed.is_inside,
-            outside_cost, place, probability, outside,
+            int(_aggregate.UNIT * OUTSIDE_COST), place, probability, outside,
         )  # fmt: skip
-        return Choice(
-            candidates=self.listed,
-            costs=costs,
-            place=place,
-            probability=probability,
-            outside=outside,
-        )
+        return Choice(Weighed(self.listed, costs), place, probability, outside)
+
+    def _decided_unlisted(self, bias: CalibrationBias, scatter_px: float | None) -> Choice:
+        ranges, n = self.ranges, len(self.where)
+        n_most = max(1, ranges.n_most)
+        own = np.empty((n, _aggregate.padded(n_most)), np.uint16)
+        if scatter_px is not None:
+            bias = replace(bias, scatter_px=scatter_px, covariance_px2=None)
+        field = field_of(bias, self._field(bias)[3])
+        over_tiles(
+            _listing.weigh_listed, n, self.where, self.first[:2],
+            (ranges.found, ranges.label_step), *self._looking(), field,
+            (f4(MOST_SIGMA**2), f4(LARGEST_COST), f4(HIDDEN_COST)), own,
+        )  # fmt: skip
+        totals = np.empty((0, 0, 0), np.uint16)
+        if n_most > 1:
+            totals = _aggregate.paths(
+                self.phase, self.index, np.ascontiguousarray(ranges.found[:, 0]),
+                ranges.label_step, own, self._jumps,
+            )  # fmt: skip
+        chosen = np.empty(n, np.intp), np.empty(n), np.empty(n)
+        over_rows(
+            _aggregate.choose_from_paths, n, totals, own, ranges.found, ranges.label_step,
+            ranges.inside, int(_aggregate.UNIT * OUTSIDE_COST), chosen,
+        )  # fmt: skip
+        return Choice(Unlisted(ranges, partial(self._look, field)), *chosen)
 
     def expected(
         self, chosen: Choice, bias: CalibrationBias

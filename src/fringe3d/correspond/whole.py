@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
@@ -87,16 +85,14 @@ def made_whole(task: Task, chosen: Choice, /, *, doubts: bool = True) -> Choice:
     if doubts:
         odds = (share / np.maximum(1 - share, 1e-9)) ** ODDS_POWER
         probability[known] = np.fmin(probability[known], (odds / (1 + odds))[part])
-    places = chosen.place.copy()
+    place, goes = np.zeros(len(moved), np.intp), np.zeros(len(moved), bool)
     if len(moved):
         of = number[moved]
-        place, found = chosen.candidates.place_of(chosen.order[moved] + (wanted - level)[of], moved)
-        places[moved[found]] = place[found]
-        refuted = _refuted(task, chosen, replace(chosen, place=places), moved, of)
-        goes = found & ~refuted[of]
-        places[moved[~goes]] = chosen.place[moved[~goes]]
+        place, found = chosen.table.place_of(chosen.order[moved] + (wanted - level)[of], moved)
+        there = chosen.moved(moved[found], place[found], chosen.probability)
+        goes = found & ~_refuted(task, chosen, there, moved, of)[of]
         probability[moved] = np.where(goes, share[of], chosen.probability[moved])
-    return replace(chosen, place=places, probability=probability)
+    return chosen.moved(moved[goes], place[goes], probability)
 
 
 def _refuted(
@@ -147,10 +143,9 @@ def _healed(task: Task, chosen: Choice, wanted: Choice, of: Ints) -> NDArray[np.
 
 def _hidden_from_c2(task: Task, chosen: Choice) -> Bools:
     """Tell which points, (n,), something that was chosen for other pixels hides from C2."""
-    listed = chosen.candidates
-    depths = listed.shown[:, :, _orders.DEPTH]
-    ways = np.abs(np.diff(depths, axis=1))
-    way = float(np.nanmedian(ways)) / listed.label_step if np.isfinite(ways).any() else 0.0
+    ways = np.abs(np.diff(task.sample[:, :, _orders.DEPTH], axis=1))
+    step = task.ranges.label_step
+    way = float(np.nanmedian(ways)) / step if np.isfinite(ways).any() else 0.0
     depth, noise = np.full((2, *task.valid.shape), np.nan)
     depth[task.valid] = np.where(chosen.order != NO_ORDER, chosen.depth_mm, np.nan)
     noise[task.valid] = task.first[1] / TWO_PI * way
@@ -161,8 +156,7 @@ def _hidden_from_c2(task: Task, chosen: Choice) -> Bools:
 def _against(chosen: Choice, index: NDArray[np.intp]) -> NDArray[np.float64]:
     """Return what speaks against the chosen candidates of some pixels, half squares; NaN where C2
     does not see them."""
-    place = chosen.place[index]
-    costs, extras = chosen.costs[index, place], chosen.candidates.extras[index, place]
+    costs, extras = chosen.cost[index], chosen.extra[index]
     return np.asarray(
         np.minimum(costs, LARGEST_REFUTATION) / 2 + np.minimum(extras / 2, LARGEST_EXTRA)
     )

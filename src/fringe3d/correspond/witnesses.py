@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fringe3d.correspond._orders import DIFFERENCE
-from fringe3d.correspond.choice import Candidates, Choice
+from fringe3d.correspond.choice import Candidates, Choice, Weighed
 from fringe3d.correspond.solving import learnt_from, nothing_known, solve
 from fringe3d.correspond.weighing import LARGEST_COST, Task
 from fringe3d.model import CalibrationBias, Device, MeasuringVolume, PhaseMap
@@ -37,7 +37,7 @@ def ask(task: Task, witnesses: Witnesses, projector: Device, volume: MeasuringVo
     """
     if witnesses.previous_turns is not None:
         task.before = witnesses.previous_turns[task.grid][task.valid]
-    panel = Panel(task, task.listed, tuple(
+    panel = Panel(task, task.listed if task.keeps else None, tuple(
         Task(replace(task.views, camera2=camera, phases2=phases, second1=None, second2=None,
                      periods1=(), periods2=()),
              projector, volume, task.limit, task.together, task.stride)
@@ -52,12 +52,13 @@ class Panel:
     """A task, its candidates before further cameras were heard, and what these show of them."""
 
     task: Task
-    before: Candidates
+    before: Candidates | None
     others: tuple[Task, ...]
 
     def hear(self, biases: Sequence[CalibrationBias]) -> None:
         """Let further cameras speak, each after its bias."""
-        self.task.listed = self.before
+        if self.before is not None:
+            self.task.listed = self.before
         for other, bias in zip(self.others, biases, strict=True):
             costs = np.fmin(other.costs(bias), 2 * LARGEST_COST)
             self.task.hear(np.nan_to_num(costs, nan=2 * LARGEST_COST))
@@ -70,8 +71,9 @@ class Panel:
             return chosen, bias
         biases = []
         for other in self.others:
+            assert isinstance(chosen.table, Weighed)
             unseen = np.isnan(other.listed.shown[..., DIFFERENCE])
-            costs = np.where(unseen, np.float32(np.nan), chosen.costs)
-            biases.append(learnt_from(other, replace(chosen, candidates=other.listed, costs=costs)))
+            costs = np.where(unseen, np.float32(np.nan), chosen.table.cost)
+            biases.append(learnt_from(other, replace(chosen, table=Weighed(other.listed, costs))))
         self.hear(biases)
         return solve(self.task, bias if is_known else None)
