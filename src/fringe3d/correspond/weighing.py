@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property, partial
 from typing import Any
 
@@ -22,6 +22,8 @@ from fringe3d.correspond.unlisted import (
     has_one_class_a_column,
     over_tiles,
 )
+from fringe3d.correspond.views import TwoViews as TwoViews
+from fringe3d.correspond.views import label_step_of as label_step_of
 from fringe3d.geometry import grid_rays
 from fringe3d.geometry.projection import lens_of
 from fringe3d.kernels import over_rows
@@ -68,35 +70,6 @@ EXPECTED_CALIBRATION_PX = 0.3
 
 PROJECTOR_CALIBRATION_PX = 0.5
 """Projector px, in a second fringe direction."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class TwoViews:
-    """What two cameras see of the same fringes.
-
-    Parameters
-    ----------
-    camera1, camera2 : Device
-    phases1, phases2 : PhaseMap of the fringes that mark the points
-    second1, second2 : PhaseMap or None; of fringes of another direction
-    periods1, periods2 : tuple of WrappedPhaseMap; of other periods of the first direction
-    """
-
-    camera1: Device
-    camera2: Device
-    phases1: PhaseMap
-    phases2: PhaseMap
-    second1: PhaseMap | None = None
-    second2: PhaseMap | None = None
-    periods1: tuple[WrappedPhaseMap, ...] = ()
-    periods2: tuple[WrappedPhaseMap, ...] = ()
-
-    @property
-    def second(self) -> tuple[PhaseMap, PhaseMap] | None:
-        """Return both maps of the other direction, if there are any."""
-        if self.second1 is None or self.second2 is None:
-            return None
-        return self.second1, self.second2
 
 
 class Task:
@@ -439,11 +412,3 @@ class Task:
         jumps = np.empty((len(self.where), len(_aggregate.WAYS)), np.uint16)
         _aggregate.write_jumps(self.phase, self.index, jumps)
         return jumps
-
-
-def label_step_of(phases: PhaseMap, /) -> int:
-    """Return the number that divides the distances of all orders of the same class."""
-    order = np.argsort(phases.class_of_order, kind="stable")
-    names = phases.class_of_order[order]
-    gaps = np.diff(order)[names[1:] == names[:-1]]
-    return int(np.gcd.reduce(gaps)) if len(gaps) else len(order)
