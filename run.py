@@ -1,8 +1,9 @@
 #!/usr/bin/env python3
-"""Set up fringe3d in a virtual environment beside this file, and run one of two jobs.
+"""Set up fringe3d in a virtual environment beside this file, and run one of three jobs.
 
 python3 run.py demo    measure a simulated scan; open demo/result/report.html
-python3 run.py test    check style and types, and pass all tests
+python3 run.py test    check style and types, build the docs, and pass all tests
+python3 run.py docs    build the docs; open docs/_build/index.html
 
 Needs Python 3.11 or newer and nothing else.
 """
@@ -15,6 +16,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parent
 ENVIRONMENT = ROOT / ".venv"
 SCRIPTS = ENVIRONMENT / ("Scripts" if sys.platform == "win32" else "bin")
+DOCS = ("-m", "sphinx", "-q", "-W", "--keep-going", "-b", "html", "docs", "docs/_build")
 PYTHON = SCRIPTS / ("python.exe" if sys.platform == "win32" else "python")
 
 
@@ -33,10 +35,14 @@ def main(arguments: list[str]) -> int:
                 ("-m", "ruff", "check", "."),
                 ("-m", "ruff", "format", "--check", "."),
                 ("-m", "mypy"),
+                DOCS,
                 ("-m", "pytest", "--numprocesses=auto", "--dist=loadfile", *options),
             )
             # The last one closes the output; the others stop it early.
             return next((code for job in jobs if (code := call(*job))), 0)
+        case ["docs"]:
+            set_up(extras="[dev]")
+            return call(*DOCS)
         case _:
             print(__doc__)
             return 2

@@ -101,9 +101,9 @@ ALLOWED: dict[str, set[str]] = {
         "simulate",
         "__init__",
     },
-    "view": NOUNS | {"geometry", "io", "options", "patterns", "report"},
+    "view": NOUNS | {"decode", "geometry", "io", "options", "patterns", "report"},
     # For notebooks: whatever there is to see, in one line.
-    "plot": NOUNS | {"io", "patterns", "pipeline", "report", "view"},
+    "plot": NOUNS | {"io", "options", "patterns", "pipeline", "report", "view"},
     "cli": NOUNS
     | {
         "decode",

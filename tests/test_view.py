@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,9 +16,9 @@ from fringe3d.cli import main
 from fringe3d.errors import MethodError
 from fringe3d.io.rigfile import rig_text
 from fringe3d.io.stored import StoredResult, read_result
-from fringe3d.model import Device, MeasuringVolume, Rig, RigidTransform
-from fringe3d.view.pixel import angle_of, nearest_pixel, pixel_story
-from fringe3d.view.shapes import frustum_lines, volume_lines
+from fringe3d.model import Device, MeasuringVolume, PhaseMap, Rig, RigidTransform
+from fringe3d.view.pixel import angle_of, nearest_pixel, pixel_story, residual_along
+from fringe3d.view.shapes import frustum_lines, grid_triangles, light_sheet, volume_lines
 from stored_result import SHAPE, write_stored_result
 
 PERIOD_PX = 16.0
@@ -111,6 +112,56 @@ def test_candidates_have_one_phase_and_lie_on_the_segment(stored: StoredResult) 
         assert 0 <= along <= 1
 
 
+def seen_phases(name: str, offset_rad: float, stored: StoredResult) -> PhaseMap:
+    """Return what a camera sees that shows one phase everywhere: that of the pixel, and more."""
+    phase = float(stored.maps["absolute_phase"][PIXEL]) + offset_rad
+    nothing = np.zeros(SHAPE, np.float32)
+    return PhaseMap(
+        phase=np.full(SHAPE, phase % (2 * np.pi)), order_class=nothing.astype(int),
+        class_of_order=np.zeros(1), phase_std=nothing, offset=nothing, modulation=nothing,
+        rejection=nothing.astype(int), period_px=PERIOD_PX, angle=0.0, device_name=name,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("offset_rad", [0.3, -2.9, 2 * np.pi + 0.1])
+def test_candidates_tell_by_how_much_they_miss(stored: StoredResult, offset_rad: float) -> None:
+    phases = {"c2": seen_phases("c2", offset_rad, stored)}
+    story = pixel_story(stored, *PIXEL, phases=phases)
+    expected = (offset_rad / (2 * np.pi) + 0.5) % 1 - 0.5
+    (taken,) = (candidate for candidate in story.candidates if candidate.is_taken)
+    assert taken.residuals["c2"] == pytest.approx(expected, abs=1e-6)
+    assert f"in c2 it misses by {abs(expected):.3f} periods" in story.words
+    depths, residuals = residual_along(stored, story, phases["c2"])
+    assert depths[0] < taken.depth_mm < depths[-1]
+    np.testing.assert_allclose(residuals[np.isfinite(residuals)], expected, atol=1e-6)
+
+
+def test_a_light_sheet_has_one_coordinate(stored: StoredResult) -> None:
+    """Of a projector with a distorting lens, as OpenCV projects it."""
+    assert stored.rig is not None
+    projector = stored.rig.devices[2]
+    for angle in (0.0, np.pi / 2, 0.3):
+        vertices, faces = light_sheet(projector, 30.0, angle, 400.0)
+        np.testing.assert_allclose(vertices[0], projector.center_world)
+        assert len(faces) == len(vertices) - 2
+        for tip in vertices[1:]:
+            u, v = seen_by_opencv(projector, tip)
+            assert np.cos(angle) * (u + 0.5) + np.sin(angle) * (v + 0.5) == pytest.approx(
+                30, abs=1e-4
+            )
+
+
+def test_surfaces_end_at_steps_and_holes() -> None:
+    y, x = np.mgrid[:6, :8].astype(float)
+    points = np.stack([x, y, 100.0 * (x > 3)], axis=-1)
+    points[2, 1] = np.nan
+    faces = grid_triangles(points)
+    assert len(faces) == 2 * 5 * (3 + 3) - 6  # six triangles meet at the hole
+    assert not (faces == 2 * 8 + 1).any()
+    left = faces % 8 <= 3
+    assert (left.all(axis=1) | ~left.any(axis=1)).all()
+
+
 def test_a_rejected_pixel_says_why(stored: StoredResult) -> None:
     story = pixel_story(stored, 0, 0)
     assert story.candidates == ()
@@ -182,6 +233,36 @@ def test_a_browser_shows_the_live_view(stored: StoredResult) -> None:
             page.mouse.click(250, 350)
             page.get_by_text("row 31, column 42:").wait_for(state="hidden", timeout=20_000)
             assert "order" in live.story.content
+            before = settled(page)
+            live.as_surface(True)
+            assert (settled(page, unlike=before) != before).any(axis=-1).mean() > 0.01
+            assert said == []
+        finally:
+            live.server.stop()
+
+
+def test_a_browser_shows_results_side_by_side(stored: StoredResult) -> None:
+    pytest.importorskip("viser")
+    from fringe3d.view.live import LiveView
+
+    farther = dict(stored.maps)
+    farther["points_mm"] = stored.maps["points_mm"] + [0, 0, 2.0]
+    second = replace(stored, folder=Path("second"), maps=farther)
+    with browser() as chromium:
+        live = LiveView([stored, second], host="127.0.0.1", port=8766,
+                        phases=lambda _: {"c2": seen_phases("c2", 0.3, stored)})  # fmt: skip
+        try:
+            page, said = watched_page(chromium)
+            page.goto(live.address)
+            page.get_by_text("second: m2").wait_for(timeout=60_000)
+            settled(page)
+            live.colour_by("from the first")
+            assert "mm" in live.scale.content
+            live.sheets.value = True
+            story = live.show_pixel(*PIXEL, number=1)
+            assert story is not None
+            assert "misses c2's phase by +0.048 periods" in live.story.content
+            page.get_by_text("misses c2's phase").first.wait_for(timeout=20_000)
             assert said == []
         finally:
             live.server.stop()

@@ -10,8 +10,8 @@ m2         reduced Gray code                                   code, unique on t
 m3         fringes of one direction                            the candidate that C2 fits best
 m4         fringes of two directions                           the same, with both directions
 m5         fringes of one direction, segments of one period    the only candidate
-m6         fringes; code and a second direction if there  the evidence of all pixels together
-           are any
+m6         fringes; code and a second direction if there are   the evidence of all pixels together
+           any
 projector  one camera: full or reduced code, one or two        code, unique on the segment
            directions
 =========  ==================================================  ===================================

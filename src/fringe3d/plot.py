@@ -21,11 +21,12 @@ from numpy.typing import NDArray
 
 from fringe3d.io.atomic import write_text
 from fringe3d.io.stored import StoredResult
-from fringe3d.model import ImageStack, PatternPlan, PhaseMap, Rig
+from fringe3d.model import ImageStack, PatternPlan, PhaseMap, Rig, Scan
+from fringe3d.options import MeasureOptions
 from fringe3d.patterns import pattern_image
 from fringe3d.pipeline import Measurement
 from fringe3d.report import maps as panels
-from fringe3d.report.folder import point_maps, summary
+from fringe3d.report.folder import point_maps, stored_result, summary
 from fringe3d.report.saving import save_figure
 
 if TYPE_CHECKING:  # it takes a second to import: only who draws waits for it
@@ -161,6 +162,44 @@ def rig(shown: Rig, /) -> Picture:
     for line in edges:
         axis.plot(*line.T, color="0.4", linewidth=0.8)
     axis.set(xlabel="x, mm", ylabel="y, mm", zlabel="z, mm", aspect="equal")
+    return Picture(figure)
+
+
+def pixel(scan: Scan, measured: Measurement, row: int, col: int, /) -> Picture:
+    """Draw the epipolar segment of a pixel of C1 in C2, the candidates on it, and what C2 sees.
+
+    Parameters
+    ----------
+    scan : Scan with a rig of two cameras and a projector
+    measured : Measurement of it
+    row, col : int; the pixel of C1
+    """
+    from matplotlib.figure import Figure
+
+    from fringe3d.view.pixel import pixel_story, residual_along
+
+    phases = {camera.device_name: camera.directions[0].main for camera in measured.phases}
+    stored = stored_result(scan, MeasureOptions(), measured)
+    story = pixel_story(stored, row, col, phases=phases)
+    name = measured.phases[1].device_name
+    figure = Figure(figsize=(13.5, 4.2), layout="constrained")
+    first, second, along = figure.subplots(1, 3, width_ratios=[1, 1, 1.2])
+    first.imshow(measured.main.offset, cmap="gray")
+    first.plot(col, row, "+", color="tab:red", markersize=14, markeredgewidth=2)
+    first.set_title(f"C1: row {row}, column {col}", fontsize=10, loc="left")
+    second.imshow(phases[name].phase, cmap="twilight", interpolation="nearest")
+    second.plot(*story.segments[name].T, color="tab:cyan", linewidth=1.5)
+    second.set_title(f"wrapped phase of '{name}', the segment, the candidates", fontsize=10,
+                     loc="left")  # fmt: skip
+    depths, residuals = residual_along(stored, story, phases[name])
+    along.plot(depths, residuals, ".", color="0.35", markersize=2)
+    for candidate in story.candidates:
+        colour = "tab:green" if candidate.is_taken else "tab:red"
+        second.plot(*candidate.pixels[name], "o", color=colour, markersize=5)
+        along.axvline(candidate.depth_mm, color=colour)
+        along.annotate(f"{candidate.order}", (candidate.depth_mm, 0.46), color=colour)
+    along.set(xlabel="distance along the viewing ray, mm", ylim=(-0.5, 0.5),
+              ylabel=f"phase in '{name}' less that of C1, periods")  # fmt: skip
     return Picture(figure)
 
 

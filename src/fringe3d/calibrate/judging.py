@@ -46,7 +46,7 @@ class Rest:
     scan : str
     angle : float, rad
     n_points : int
-    median_px : float, px; median of |r|
+    median_px : float, px; median of ``|r|``
     rms_px : float, px; without outliers
     outliers : float; part of the points beyond six sigma (at least 0.2 px): edges, reflections
     pattern_px : float, px; rms of what neighbouring points share, which is not noise

@@ -19,6 +19,10 @@ app = App(
     suppress_keyboard_interrupt=False,  # main() says that nothing was written
 )
 
+app.register_install_completion_command(
+    help="Let the shell complete commands, options and paths (bash, zsh, fish)."
+)
+
 Json = Annotated[bool, Parameter(name="--json", negative=(), help="Print the result as JSON.")]
 Overwrite = Annotated[bool, Parameter(negative=(), help="Replace what is there.")]
 

@@ -49,47 +49,43 @@ def report(
 
 @app.command
 def view(
-    result: Path,
-    /,
-    *,
+    *results: Path,
     host: str = "127.0.0.1",
     port: Annotated[int, Parameter(validator=at_least(1, 65535))] = 8080,
     points: Annotated[int, Parameter(validator=at_least(1))] = 1_000_000,
     html: Path | None = None,
     overwrite: Overwrite = False,
 ) -> None:
-    """Show a result in three dimensions, in the browser; Ctrl-C ends it.
+    """Show results in three dimensions, in the browser; Ctrl-C ends it.
 
-    Points coloured by depth, brightness, sigma or order probability; the rig with its measuring
-    volume; rejected pixels by reason; and of each pixel the viewing ray and the candidates on it.
-    Example: fringe3d view result
+    Points or surfaces coloured by depth, brightness, sigma or order probability; the rig with its
+    measuring volume; rejected pixels by reason; and of each pixel the viewing ray, the candidates
+    on it, their light sheets, and how well each fits what the second camera sees. Several results
+    stand side by side: methods compared.
+    Examples: fringe3d view result; fringe3d view full reduced four; fringe3d view scan
 
     Parameters
     ----------
-    result
-        Folder that fringe3d measure left.
+    results
+        Folders that fringe3d measure left; or scans (folder or scan file), which are measured with
+        the defaults first and not kept.
     host
         Address to listen on: by default only this machine can see the page; 0.0.0.0 for all.
     port
         The next free one is taken where it is in use.
     points
-        Show at most so many; more are thinned at random.
+        Show at most so many of each; more are thinned at random.
     html
-        Write the points as a page that needs no network instead, and end.
+        Write the points of one result as a page that needs no network instead, and end.
     """
-    from fringe3d.io.atomic import require_writable, write_text
-    from fringe3d.io.stored import read_result
+    from fringe3d.cli.viewing import shown_results, write_page
 
-    stored = read_result(result)
-    if stored.rejection.all():
-        raise MethodError(f"{result}: expected points, found none. Look at overview.png")
+    if not results:
+        raise MethodError("view: expected a result or a scan, found none. See fringe3d view --help")
+    found = shown_results(results)
     if html is not None:
-        from fringe3d.report.measurement import cloud_html
-
-        require_writable(html, overwrite=overwrite, inputs=_inputs(result))
-        text = cloud_html(stored, most_points=points)
-        write_text(html, text, overwrite=overwrite)
-        say(f"{len(text) / 1e6:.1f} MB -> {html}")
+        n_bytes = write_page(html, found, points, overwrite=overwrite, inputs=_inputs(results[0]))
+        say(f"{n_bytes / 1e6:.1f} MB -> {html}")
         return
     try:
         from fringe3d.view.live import LiveView
@@ -98,8 +94,9 @@ def view(
             f"view: expected the packages of the 3D view, found no '{problem.name}'. Install them: "
             "pip install 'fringe3d[view]'. Without them: --html FILE, or fringe3d report"
         ) from None
-    live = LiveView(stored, host=host, port=port, most_points=points)
-    say(f"{live.address} shows {result}; Ctrl-C ends it")
+    live = LiveView([stored for stored, _ in found], host=host, port=port, most_points=points,
+                    phases=lambda stored: next(f() for s, f in found if s is stored))  # fmt: skip
+    say(f"{live.address} shows {', '.join(map(str, results))}; Ctrl-C ends it")
     try:
         live.server.sleep_forever()
     except KeyboardInterrupt:

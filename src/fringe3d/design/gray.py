@@ -39,7 +39,7 @@ class GrayNeeds:
 
     @property
     def exact_bits(self) -> int:
-        """Return the bits with which no point at all has a twin: ceil(log2 max |K|)."""
+        """Return the bits with which no point at all has a twin: ``ceil(log2 max |K|)``."""
         return max(0, math.ceil(math.log2(self.max_orders)))
 
     @property
@@ -72,7 +72,7 @@ def guard_periods(sigma_phase: float, calibration_px: float, period_px: float, /
 
 
 def order_counts(periods: Map, /, *, guard: float = 0.0) -> NDArray[np.int64]:
-    """Return |K|, the most fringe orders that fit one wrapped phase, for each segment.
+    """Return ``|K|``, the most fringe orders that fit one wrapped phase, for each segment.
 
     ``floor(m + 2 guard) + 1``: of the closed interval of phases on a segment, widened by the
     guard on both sides, so many at most differ by whole periods.

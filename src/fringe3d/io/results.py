@@ -111,14 +111,15 @@ def read_points_mm(path: Path, /, *, shape: tuple[int, int]) -> NDArray[np.float
 
 def toml_document(table: dict[str, Any], /) -> str:
     """Return nested tables as TOML text; None and NaN values are left out."""
-    return tomlkit.dumps(_plain(table))
+    return tomlkit.dumps(toml_plain(table))
 
 
-def _plain(value: Any) -> Any:
+def toml_plain(value: Any) -> Any:
+    """Return a value as it is read back from TOML: no tuples, no NumPy, no None or NaN."""
     if isinstance(value, dict):
-        return {key: _plain(v) for key, v in value.items() if v is not None and v == v}
+        return {key: toml_plain(v) for key, v in value.items() if v is not None and v == v}
     if isinstance(value, list | tuple):
-        return [_plain(v) for v in value]
+        return [toml_plain(v) for v in value]
     if isinstance(value, np.generic):
         return value.item()
     return value

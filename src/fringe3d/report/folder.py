@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 from fringe3d import __version__
 from fringe3d.health import Finding, axis_name
 from fringe3d.io.atomic import new_folder
-from fringe3d.io.results import toml_document, write_ply, write_points
+from fringe3d.io.results import toml_document, toml_plain, write_ply, write_points
 from fringe3d.io.rigfile import rig_text
+from fringe3d.io.stored import StoredResult
 from fringe3d.model import NO_ORDER, Scan
 from fringe3d.model.rejection import count_by_reason
 from fringe3d.pipeline import Measurement, MeasureOptions, point_cloud
@@ -84,6 +85,13 @@ def write_result(
         if scan.rig is not None:
             (folder / "rig.toml").write_text(rig_text(scan.rig), encoding="utf-8")
         (folder / "measure.toml").write_text(toml_document(record), encoding="utf-8")
+
+
+def stored_result(scan: Scan, options: MeasureOptions, result: Measurement, /) -> StoredResult:
+    """Return a result with points as it would be read back, without writing it."""
+    maps = point_maps(result)
+    record = toml_plain(measure_record(scan, options, result))
+    return StoredResult(folder=Path("result"), record=record, maps=maps, rig=scan.rig)
 
 
 def point_maps(result: Measurement, /) -> dict[str, NDArray[Any]]:

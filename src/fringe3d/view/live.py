@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -12,12 +14,30 @@ from numpy.typing import NDArray
 
 from fringe3d.errors import Fringe3DError
 from fringe3d.io.stored import StoredResult
-from fringe3d.model import Rejection
+from fringe3d.model import PhaseMap, Rejection
+from fringe3d.patterns import across
 from fringe3d.report.advice import reason_rows
 from fringe3d.report.cloud_data import Channel, channels_of, thinned
 from fringe3d.report.maps import REASON_COLORS, robust_limits
-from fringe3d.view.pixel import PixelStory, nearest_pixel, pixel_story, seen_volume
-from fringe3d.view.shapes import frustum_lines, volume_lines
+from fringe3d.view.phases import other_phases
+from fringe3d.view.pixel import (
+    Candidate,
+    PixelStory,
+    angle_of,
+    nearest_pixel,
+    pixel_story,
+    seen_volume,
+)
+from fringe3d.view.shapes import frustum_lines, grid_triangles, light_sheet, volume_lines
+
+MOST_FACES = 1_500_000
+BETWEEN = 1.15
+"""Results stand side by side at so many widths of the first."""
+
+SHEET_REACH = 1.15
+"""Of the distance of the point: light sheets are drawn a little beyond it."""
+
+SURFACE = (190, 195, 205)
 
 MOST_POINTS = 1_000_000
 """More points make turning slow; the others are left out at random."""
@@ -28,39 +48,83 @@ FRUSTUM_PART = 0.35
 """Of the distance to the points: devices are drawn with that much of their pyramids."""
 
 
+@dataclass(slots=True, eq=False)
+class _Shown:
+    """A result on the stage."""
+
+    stored: StoredResult
+    places: NDArray[np.intp]
+    channels: dict[str, Channel]
+    aside: NDArray[np.float64]
+    cloud: Any = None
+    surface: Any = None
+
+
 class LiveView:
-    """A result shown by a server, with its controls.
+    """Results shown by a server, with their controls.
 
     Parameters
     ----------
-    stored : StoredResult
+    stored : StoredResult, or several that are shown side by side: methods compared
     host : str; from which addresses the page can be reached: 127.0.0.1 is this machine alone
     port : int; the next free one is taken where it is in use
-    most_points : int
+    most_points : int; of each
+    phases : function that returns what the other cameras saw of a result, by camera; by default it
+        is decoded again from the images, when the first pixel is asked for
     """
 
     def __init__(
-        self, stored: StoredResult, /, *, host: str, port: int, most_points: int = MOST_POINTS
+        self,
+        stored: StoredResult | Sequence[StoredResult],
+        /,
+        *,
+        host: str,
+        port: int,
+        most_points: int = MOST_POINTS,
+        phases: Callable[[StoredResult], Mapping[str, PhaseMap]] = other_phases,
     ) -> None:
-        self.stored = stored
+        results = [stored] if isinstance(stored, StoredResult) else list(stored)
+        self.stored, self._several = results[0], len(results) > 1
+        self._phases_of, self._phases = phases, dict[int, Mapping[str, PhaseMap]]()
         self.server = viser.ViserServer(host=host, port=port, label="fringe3d", verbose=False)
         self._lock = threading.Lock()
-        valid = stored.rejection == 0
-        self._places = thinned(valid, most_points)
-        points = stored.maps["points_mm"].reshape(-1, 3)[self._places]
+        points = self.stored.maps["points_mm"][self.stored.rejection == 0]
         self._middle = np.median(points, axis=0)
         reach = float(np.linalg.norm(np.percentile(points, 99, 0) - np.percentile(points, 1, 0)))
-        self._channels = {channel.name: channel for channel in channels_of(stored.maps)}
-        first = next(iter(self._channels.values()))
-        # Shown around their middle: single precision is enough there.
-        self.cloud = self.server.scene.add_point_cloud(
-            "/points", (points - self._middle).astype(np.float32), self._colours(first),
-            point_size=1.5 * reach / np.sqrt(len(points)), precision="float32",
-            point_shading="flat",
-        )  # fmt: skip
+        self._shown = [
+            self._on_stage(number, result, reach, most_points)
+            for number, result in enumerate(results)
+        ]
+        self._channels = self._shown[0].channels
+        self.cloud = self._shown[0].cloud
         self._add_rig()
-        self._look_from_c1(reach)
-        self._add_controls(len(points), int(valid.sum()))
+        self._look_from_c1(reach * len(results))
+        self._add_controls(len(self._shown[0].places), len(points))
+
+    def _on_stage(
+        self, number: int, stored: StoredResult, reach: float, most_points: int
+    ) -> _Shown:
+        places = thinned(stored.rejection == 0, most_points)
+        rig = self.stored.rig
+        sideways = np.eye(3)[0] if rig is None else rig.cameras[0].device_from_world.rotation[0]
+        channels = {channel.name: channel for channel in channels_of(stored.maps)}
+        if number and stored.rejection.shape == self.stored.rejection.shape:
+            away = deviation_mm(stored, self.stored)
+            channels["from the first"] = Channel("from the first", "mm", away, "RdBu_r")
+        shown = _Shown(stored, places, channels, number * BETWEEN * reach * sideways)
+        points = self._staged(shown)[places]
+        first = next(iter(channels.values()))
+        # Shown around their middle: single precision is enough there.
+        shown.cloud = self.server.scene.add_point_cloud(
+            "/points" if number == 0 else f"/points {number + 1}", points,
+            self._colours(shown, first), point_size=1.5 * reach / np.sqrt(len(points)),
+            precision="float32", point_shading="flat",
+        )  # fmt: skip
+        if self._several:
+            above = np.nanmin(points, axis=0) if len(points) else shown.aside
+            name = f"{stored.folder.name}: {stored.record['method']}"
+            self.server.scene.add_label(f"/label {number + 1}", name, position=tuple(above))
+        return shown
 
     @property
     def address(self) -> str:
@@ -68,44 +132,94 @@ class LiveView:
         return f"http://{self.server.get_host()}:{self.server.get_port()}"
 
     def colour_by(self, name: str, /) -> None:
-        """Colour the points by a channel."""
-        channel = self._channels[name]
-        self.cloud.colors = self._colours(channel)
+        """Colour the points by a channel; all results on the scale of the first that has it."""
+        having = [shown for shown in self._shown if name in shown.channels]
+        channel = having[0].channels[name]
         low, high = robust_limits(channel.values)
+        if name == "from the first":
+            low, high = -max(abs(low), abs(high)), max(abs(low), abs(high))
+        for shown in having:
+            shown.cloud.colors = self._colours(shown, shown.channels[name], (low, high))
         self.scale.content = f"{low:.4g} to {high:.4g} {channel.unit} ({channel.colours})"
 
-    def show_pixel(self, row: int, col: int, /) -> PixelStory | None:
+    def as_surface(self, is_surface: bool, /) -> None:
+        """Show surfaces between neighbouring pixels instead of points, or points again."""
+        for number, shown in enumerate(self._shown):
+            if is_surface and shown.surface is None:
+                faces = grid_triangles(shown.stored.maps["points_mm"])[:MOST_FACES]
+                used, renumbered = np.unique(faces, return_inverse=True)
+                shown.surface = self.server.scene.add_mesh_simple(
+                    f"/surface {number + 1}", self._staged(shown)[used],
+                    renumbered.reshape(-1, 3).astype(np.uint32), color=SURFACE, side="double",
+                    flat_shading=True, cast_shadow=False, receive_shadow=False,
+                )  # fmt: skip
+            shown.cloud.visible = not is_surface
+            if shown.surface is not None:
+                shown.surface.visible = is_surface
+
+    def show_pixel(self, row: int, col: int, /, *, number: int = 0) -> PixelStory | None:
         """Show the ray of a pixel of C1 and its candidates; None where that is not possible."""
         with self._lock:
             self.server.scene.remove_by_name("/pixel")
             self.row.value = row
             self.col.value = col
+            shown = self._shown[number]
+            if number not in self._phases:
+                self._phases[number] = self._phases_of(shown.stored)
             try:
-                story = pixel_story(self.stored, row, col)
+                story = pixel_story(shown.stored, row, col, phases=self._phases[number])
             except Fringe3DError as problem:
                 self.story.content = plain(str(problem))
                 return None
-            self._draw(story)
+            self._draw(shown, story)
             self.story.content = story_text(story)
             return story
 
-    def _draw(self, story: PixelStory) -> None:
-        assert self.stored.rig is not None
+    def _draw(self, shown: _Shown, story: PixelStory) -> None:
+        rig = shown.stored.rig
+        assert rig is not None
         if np.isfinite(story.ends_mm).all():
-            self._lines("/pixel/ray", story.ends_mm[None], RAY)
+            self._lines("/pixel/ray", story.ends_mm[None] + shown.aside, RAY)
         for candidate in story.candidates:
             colour = TAKEN if candidate.is_taken else OTHER
-            name = "/pixel/taken" if candidate.is_taken else f"/pixel/order {candidate.order}"
+            name = "taken" if candidate.is_taken else f"order {candidate.order}"
             sight = [
                 [candidate.point_mm, device.center_world]
-                for device in self.stored.rig.devices
+                for device in rig.devices
                 if device.name in candidate.pixels
             ]
-            self._lines(name, np.array(sight), colour)
+            self._lines(f"/pixel/{name}", np.array(sight) + shown.aside, colour)
+            if self.sheets.value and rig.projector is not None:
+                self._add_sheet(f"/pixel/sheet of {name}", shown, candidate, colour)
 
-    def _colours(self, channel: Channel) -> NDArray[np.uint8]:
-        values = np.asarray(channel.values, np.float64).ravel()[self._places]
-        low, high = robust_limits(values)
+    def _add_sheet(
+        self, name: str, shown: _Shown, candidate: Candidate, colour: tuple[int, int, int]
+    ) -> None:
+        rig = shown.stored.rig
+        assert rig is not None
+        assert rig.projector is not None
+        projector, angle = rig.projector, angle_of(shown.stored.record["decoding"][0]["direction"])
+        x, y = candidate.pixels[projector.name]
+        away = float(np.linalg.norm(candidate.point_mm - projector.center_world))
+        position = float(across(angle, x, y))
+        vertices, faces = light_sheet(projector, position, angle, SHEET_REACH * away)
+        if len(faces):
+            self.server.scene.add_mesh_simple(
+                name, (vertices - self._middle + shown.aside).astype(np.float32),
+                faces.astype(np.uint32), color=colour, opacity=0.2, side="double",
+                cast_shadow=False, receive_shadow=False,
+            )  # fmt: skip
+
+    def _staged(self, shown: _Shown) -> NDArray[np.float32]:
+        """Return all points (n, 3) of a result where they are shown."""
+        points = shown.stored.maps["points_mm"].reshape(-1, 3)
+        return np.asarray(points - self._middle + shown.aside, np.float32)
+
+    def _colours(
+        self, shown: _Shown, channel: Channel, limits: tuple[float, float] | None = None
+    ) -> NDArray[np.uint8]:
+        values = np.asarray(channel.values, np.float64).ravel()[shown.places]
+        low, high = limits or robust_limits(values)
         part = np.nan_to_num(np.clip((values - low) / (high - low), 0, 1))
         colours: NDArray[np.uint8] = (255 * colormaps[channel.colours](part)[:, :3]).astype(
             np.uint8
@@ -149,13 +263,17 @@ class LiveView:
         thin = "" if n_shown == n_points else f" of {n_points:,}, picked at random"
         summary = plain(self.stored.record["summary"])
         gui.add_markdown(f"{summary}\n\n{n_shown:,} points shown{thin}.")
-        self.colour = gui.add_dropdown("colour", tuple(self._channels))
+        names = dict.fromkeys(name for shown in self._shown for name in shown.channels)
+        self.colour = gui.add_dropdown("colour", tuple(names))
         self.scale = gui.add_markdown("")
         self.colour.on_update(lambda _: self.colour_by(self.colour.value))
         self.colour_by(self.colour.value)
+        self.surface = gui.add_checkbox("surfaces instead of points", False)
+        self.surface.on_update(lambda _: self.as_surface(bool(self.surface.value)))
         with gui.add_folder("pixel of C1"):
             self.row: Any = gui.add_number("row", shape[0] // 2, min=0, max=shape[0] - 1, step=1)
             self.col: Any = gui.add_number("column", shape[1] // 2, min=0, max=shape[1] - 1, step=1)
+            self.sheets = gui.add_checkbox("light sheets of the candidates", False)
             button = gui.add_button("show its ray")
             self.story = gui.add_markdown("Enter a pixel, or click a point.")
 
@@ -165,10 +283,19 @@ class LiveView:
 
         @self.server.scene.on_click()
         def _(event: Any) -> None:
-            points = self.stored.maps["points_mm"] - self._middle
-            hit = nearest_pixel(points, event.ray_origin, event.ray_direction)
-            if hit is not None:
-                self.show_pixel(*hit)
+            hits = []
+            for number, shown in enumerate(self._shown):
+                points = self._staged(shown).reshape(*shown.stored.rejection.shape, 3)
+                found = nearest_pixel(
+                    points.astype(np.float64), event.ray_origin, event.ray_direction
+                )
+                if found is not None:
+                    off = points[found] - np.asarray(event.ray_origin)
+                    side = np.cross(off, event.ray_direction) / np.linalg.norm(off)
+                    hits.append((float(np.linalg.norm(side)), number, found))
+            if hits:
+                _, number, found = min(hits)
+                self.show_pixel(*found, number=number)
 
         with gui.add_folder("rejected pixels"):
             image, legend = rejection_image(self.stored.rejection)
@@ -201,8 +328,22 @@ def story_text(story: PixelStory, /) -> str:
     for candidate in story.candidates:
         places = ", ".join(f"{n} ({x:.1f}, {y:.1f})" for n, (x, y) in candidate.pixels.items())
         taken = " **taken**" if candidate.is_taken else ""
-        lines.append(f"- order {candidate.order}: {candidate.depth_mm:.2f} mm, {places}{taken}")
+        misses = "".join(
+            f", misses {name}'s phase by {residual:+.3f} periods"
+            for name, residual in candidate.residuals.items()
+            if np.isfinite(residual)
+        )
+        depth = f"{candidate.depth_mm:.2f} mm"
+        lines.append(f"- order {candidate.order}: {depth}, {places}{misses}{taken}")
     return "\n".join(lines)
+
+
+def deviation_mm(stored: StoredResult, first: StoredResult, /) -> NDArray[np.float64]:
+    """Return how much farther from C1 a result has its points than the first, (row, col), mm."""
+    points, reference = stored.maps["points_mm"], first.maps["points_mm"]
+    center = np.zeros(3) if first.rig is None else first.rig.cameras[0].center_world
+    away = np.linalg.norm(points - center, axis=-1) - np.linalg.norm(reference - center, axis=-1)
+    return np.asarray(away, np.float64)
 
 
 def plain(text: str, /) -> str:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 from fringe3d.errors import MethodError
 from fringe3d.geometry import depth_interval, frustum, project, rays, sheet_crossing
 from fringe3d.io.stored import StoredResult
-from fringe3d.model import NO_ORDER, Device, MeasuringVolume, Rejection
+from fringe3d.model import NO_ORDER, Device, MeasuringVolume, PhaseMap, Rejection
 from fringe3d.options import MeasureOptions, volume_of
 from fringe3d.patterns import across
 
@@ -30,6 +31,8 @@ class Candidate:
     point_mm : (3,) float, world
     pixels : dict of device name to (2,) float, px; (x, y) where the other devices see it
     is_taken : bool
+    residuals : dict of camera name to float, periods; phase that the camera sees there, less that
+        of C1, within half a period; NaN where it sees none
     """
 
     order: int
@@ -37,6 +40,7 @@ class Candidate:
     point_mm: NDArray[np.float64]
     pixels: dict[str, NDArray[np.float64]]
     is_taken: bool
+    residuals: dict[str, float]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -74,13 +78,21 @@ def seen_volume(stored: StoredResult, /) -> tuple[Device, MeasuringVolume]:
     return camera, seen if lit is None else seen.intersection(frustum(lit))
 
 
-def pixel_story(stored: StoredResult, row: int, col: int, /) -> PixelStory:
+def pixel_story(
+    stored: StoredResult,
+    row: int,
+    col: int,
+    /,
+    *,
+    phases: Mapping[str, PhaseMap] | None = None,
+) -> PixelStory:
     """Tell what a measurement made of one pixel of C1.
 
     Parameters
     ----------
     stored : StoredResult with a rig
     row, col : int; the pixel
+    phases : mapping of camera name to PhaseMap; what the other cameras see, see `other_phases`
 
     Raises
     ------
@@ -102,6 +114,7 @@ def pixel_story(stored: StoredResult, row: int, col: int, /) -> PixelStory:
     ends = origin + np.array([[near], [far]]) * direction
     ends = np.full((2, 3), np.nan) if missed else ends
     candidates = () if missed else _candidates(stored, (row, col), origin, direction, (near, far))
+    candidates = tuple(_with_residuals(stored, (row, col), c, phases or {}) for c in candidates)
     return PixelStory(
         row=row,
         col=col,
@@ -142,10 +155,81 @@ def _candidates(
             point_mm=origin + depth * direction,
             pixels={device.name: project(device, origin + depth * direction) for device in others},
             is_taken=bool(order == taken),
+            residuals={},
         )
         for order, depth in zip(orders, depths, strict=True)
         if np.isfinite(depth)
     )
+
+
+def _with_residuals(
+    stored: StoredResult,
+    pixel: tuple[int, int],
+    candidate: Candidate,
+    phases: Mapping[str, PhaseMap],
+) -> Candidate:
+    expected = float(stored.maps["absolute_phase"][pixel])
+    found = {
+        name: (phase_at(phases[name].phase, at) - expected) / TWO_PI
+        for name, at in candidate.pixels.items()
+        if name in phases
+    }
+    return replace(
+        candidate, residuals={n: r - round(r) if r == r else r for n, r in found.items()}
+    )
+
+
+def residual_along(
+    stored: StoredResult, story: PixelStory, phases: PhaseMap, /, *, n_steps: int = 2000
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return what another camera sees along the part of a viewing ray that lies in the volume.
+
+    Parameters
+    ----------
+    stored, story : StoredResult, PixelStory; the pixel, which has a point
+    phases : PhaseMap of the other camera
+    n_steps : int; places on the ray
+
+    Returns
+    -------
+    depths_mm, residuals : (n_steps,) float, mm and periods
+        Distance along the ray, and the phase there less that of C1, within half a period.
+    """
+    rig = stored.rig
+    assert rig is not None
+    other = next(camera for camera in rig.cameras if camera.name == phases.device_name)
+    near, far = story.ends_mm
+    points = near + np.linspace(0, 1, n_steps)[:, None] * (far - near)
+    center = seen_volume(stored)[0].center_world
+    expected = float(stored.maps["absolute_phase"][story.row, story.col])
+    seen = np.array([phase_at(phases.phase, at) for at in project(other, points)])
+    turns = (seen - expected) / TWO_PI
+    return np.linalg.norm(points - center, axis=1), turns - np.round(turns)
+
+
+def phase_at(phase: NDArray[Any], at: NDArray[np.float64], /) -> float:
+    """Return a wrapped phase between pixels, rad; NaN where one of the four has none.
+
+    Parameters
+    ----------
+    phase : (row, col) float, rad
+    at : (2,) float, px; (x, y)
+
+    Examples
+    --------
+    >>> wrapped = np.array([[3.0, -3.0 ], [3.0, -3.0]])  # rises by 0.28 over the seam at pi
+    >>> round(phase_at(wrapped, np.array([0.5, 0.5])) % TWO_PI, 3)
+    3.142
+    """
+    if not np.isfinite(at).all():
+        return math.nan
+    x, y = int(np.floor(at[0])), int(np.floor(at[1]))
+    if not (0 <= y < phase.shape[0] - 1 and 0 <= x < phase.shape[1] - 1):
+        return math.nan
+    corners = phase[y : y + 2, x : x + 2]
+    turned = np.exp(1j * corners.astype(np.float64))
+    u, v = at[0] - x, at[1] - y
+    return float(np.angle([1 - v, v] @ turned @ [1 - u, u]))
 
 
 def angle_of(direction: str, /) -> float:
@@ -179,11 +263,30 @@ def _words(
         )  # fmt: skip
         return f"{place}; {where}"
     probability = float(stored.maps["order_probability"][pixel])
+    seen = _seen(candidates)
     return (
         f"{place}; fringe order {int(stored.maps['fringe_order'][pixel])}, one of "
         f"{len(candidates)} on the segment, with probability {probability:.4f}, by method "
-        f"{stored.record['method']}: {stored.record['why_this_method']}"
+        f"{stored.record['method']}: {stored.record['why_this_method']}{seen}"
     )
+
+
+def _seen(candidates: tuple[Candidate, ...]) -> str:
+    """Say how well the other cameras tell the candidate taken from the others."""
+    said = ""
+    for name in candidates[0].residuals:
+        misses: dict[bool, list[float]] = {True: [], False: []}
+        for candidate in candidates:
+            if math.isfinite(candidate.residuals[name]):
+                misses[candidate.is_taken].append(abs(candidate.residuals[name]))
+        if misses[True]:
+            said += f"; in {name} it misses by {misses[True][0]:.3f} periods"
+            if misses[False]:
+                best = min(misses[False])
+                said += f", the best of the others by {best:.3f}"
+                if best <= misses[True][0]:
+                    said += f": {name} alone would have taken another"
+    return said
 
 
 def nearest_pixel(

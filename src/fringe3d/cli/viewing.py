@@ -1,0 +1,92 @@
+"""What ``fringe3d view`` shows: results, or scans measured on the way."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from pathlib import Path
+
+from fringe3d.cli.console import Reporter
+from fringe3d.errors import MethodError
+from fringe3d.io.atomic import require_writable, write_text
+from fringe3d.io.stored import StoredResult, read_result
+from fringe3d.model import PhaseMap
+
+Shown = tuple[StoredResult, Callable[[], Mapping[str, PhaseMap]]]
+"""A result, and a function that tells what the other cameras saw."""
+
+
+def shown_results(paths: Sequence[Path], /) -> list[Shown]:
+    """Read results; measure what is a scan.
+
+    Raises
+    ------
+    Fringe3DError
+        If one is neither, or has no points.
+    """
+    found = [_measured(path) if is_scan(path) else _read(path) for path in paths]
+    for path, (stored, _) in zip(paths, found, strict=True):
+        if stored.rejection.all():
+            raise MethodError(f"{path}: expected points, found none. Look at overview.png")
+    return found
+
+
+def is_scan(path: Path, /) -> bool:
+    """Tell whether a path is a scan file, or a folder with one and without a result."""
+    if path.is_dir():
+        return (path / "scan.toml").is_file() and not (path / "measure.toml").is_file()
+    return path.suffix == ".toml"
+
+
+def write_page(
+    html: Path, found: Sequence[Shown], points: int, /, *, overwrite: bool, inputs: Sequence[Path]
+) -> int:
+    """Write the points of one result as a page; return its bytes.
+
+    Raises
+    ------
+    MethodError
+        If there are several.
+    """
+    from fringe3d.report.measurement import cloud_html
+
+    if len(found) > 1:
+        raise MethodError(
+            f"--html: expected one result for a page, found {len(found)}. Write a page for each"
+        )
+    require_writable(html, overwrite=overwrite, inputs=inputs)
+    text = cloud_html(found[0][0], most_points=points)
+    write_text(html, text, overwrite=overwrite)
+    return len(text.encode())
+
+
+def _read(path: Path) -> Shown:
+    def phases(stored: StoredResult) -> Mapping[str, PhaseMap]:
+        from fringe3d.view.phases import other_phases
+
+        return other_phases(stored)
+
+    stored = read_result(path)
+    return stored, partial(phases, stored)
+
+
+def _measured(path: Path) -> Shown:
+    from dataclasses import replace
+
+    from fringe3d.io.recording import read_scan
+    from fringe3d.options import MeasureOptions
+    from fringe3d.pipeline import measure
+    from fringe3d.report.folder import stored_result
+
+    options = MeasureOptions()
+    with Reporter(quiet=False).running() as reporter:
+        scan = read_scan(path, progress=reporter.step)
+        result = measure(scan, options, stage=reporter.stage)
+    if result.points is None:
+        raise MethodError(
+            f"{path}: expected points, found phases alone: the scan has no rig. Name one in its "
+            "scan.toml"
+        )
+    stored = replace(stored_result(scan, options, result), folder=path)
+    others = {c.device_name: c.directions[0].main for c in result.phases[1:]}
+    return stored, lambda: others
