@@ -118,7 +118,7 @@ def seen_phases(name: str, offset_rad: float, stored: StoredResult) -> PhaseMap:
     nothing = np.zeros(SHAPE, np.float32)
     return PhaseMap(
         phase=np.full(SHAPE, phase % (2 * np.pi)), order_class=nothing.astype(int),
-        class_of_order=np.zeros(1), phase_std=nothing, offset=nothing, modulation=nothing,
+        class_of_order=np.zeros(1, np.int32), phase_std=nothing, offset=nothing, modulation=nothing,
         rejection=nothing.astype(int), period_px=PERIOD_PX, angle=0.0, device_name=name,
     )  # fmt: skip
 

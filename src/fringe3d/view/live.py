@@ -273,7 +273,7 @@ class LiveView:
         with gui.add_folder("pixel of C1"):
             self.row: Any = gui.add_number("row", shape[0] // 2, min=0, max=shape[0] - 1, step=1)
             self.col: Any = gui.add_number("column", shape[1] // 2, min=0, max=shape[1] - 1, step=1)
-            self.sheets = gui.add_checkbox("light sheets of the candidates", False)
+            self.sheets: Any = gui.add_checkbox("light sheets of the candidates", False)
             button = gui.add_button("show its ray")
             self.story = gui.add_markdown("Enter a pixel, or click a point.")
 
