@@ -137,6 +137,7 @@ EDGE_LIBRARIES = {
     "viser": {"view"},
     "jinja2": {"report"},
     "markupsafe": {"report"},
+    "markdown_it": {"report"},
     "rich": {"cli"},
     "cyclopts": {"cli"},
     "numba": {"kernels", "geometry", "decode", "correspond", "health", "simulate"},

@@ -18,33 +18,44 @@ def report(
     /,
     *,
     out: Path | None = None,
+    pdf: Annotated[bool, Parameter(negative=())] = False,
     overwrite: Overwrite = False,
     as_json: Json = False,
 ) -> None:
     """Write a result as one HTML page to look at, keep and pass on.
 
     What was measured, with which images, a small 3D view, pictures, figures, rejected pixels by
-    reason, health, and what to do better. It needs no network.
-    Example: fringe3d report result
+    reason, health, and what to do better. It needs no network. Designs, calibrations, acceptance
+    tests and comparisons become a page of the same look.
+    Examples: fringe3d report result; fringe3d report design --pdf; fringe3d report rig.toml
 
     Parameters
     ----------
     result
-        Folder that fringe3d measure left.
+        Folder that fringe3d measure, design, evaluate acceptance or evaluate compare left; or the
+        rig.toml that fringe3d calibrate left, with its report beside.
     out
-        The page; RESULT/report.html by default.
+        The page; RESULT/report.html by default, RIG-report.html for a rig.
+    pdf
+        Write a PDF instead, printed by Chromium, Chrome or Edge.
     """
-    from fringe3d.io.atomic import require_writable, write_text
-    from fringe3d.io.stored import read_result
-    from fringe3d.report.measurement import report_html
+    from fringe3d.cli.viewing import report_of
+    from fringe3d.io.atomic import new_file, require_writable
 
-    target = out or result / "report.html"
-    stored = read_result(result)
-    require_writable(target, overwrite=overwrite, inputs=_inputs(result))
-    text = report_html(stored)
-    write_text(target, text, overwrite=overwrite)
-    record = {"out": str(target), "bytes": len(text.encode())}
-    say(f"{len(text.encode()) / 1e6:.1f} MB -> {target}", record, as_json=as_json)
+    ending = ".pdf" if pdf else ".html"
+    beside = result.with_name(f"{result.stem}-report{ending}")
+    target = out or (result / f"report{ending}" if result.is_dir() else beside)
+    text, inputs = report_of(result)
+    require_writable(target, overwrite=overwrite, inputs=inputs)
+    content = text.encode()
+    if pdf:
+        from fringe3d.report.pdf import pdf_of
+
+        content = pdf_of(text)
+    with new_file(target, overwrite=overwrite) as aside:
+        aside.write_bytes(content)
+    record = {"out": str(target), "bytes": len(content)}
+    say(f"{len(content) / 1e6:.1f} MB -> {target}", record, as_json=as_json)
 
 
 @app.command
@@ -84,7 +95,7 @@ def view(
         raise MethodError("view: expected a result or a scan, found none. See fringe3d view --help")
     found = shown_results(results)
     if html is not None:
-        n_bytes = write_page(html, found, points, overwrite=overwrite, inputs=_inputs(results[0]))
+        n_bytes = write_page(html, found, points, overwrite=overwrite)
         say(f"{n_bytes / 1e6:.1f} MB -> {html}")
         return
     try:
@@ -101,8 +112,3 @@ def view(
         live.server.sleep_forever()
     except KeyboardInterrupt:
         live.server.stop()
-
-
-def _inputs(result: Path) -> list[Path]:
-    """Return the files that a page must not replace."""
-    return [result / name for name in ("measure.toml", "points.npz", "rig.toml")]

@@ -38,9 +38,39 @@ def is_scan(path: Path, /) -> bool:
     return path.suffix == ".toml"
 
 
-def write_page(
-    html: Path, found: Sequence[Shown], points: int, /, *, overwrite: bool, inputs: Sequence[Path]
-) -> int:
+def report_of(path: Path, /) -> tuple[str, list[Path]]:
+    """Return the page of whatever is there to report, and the files that it must not replace.
+
+    Raises
+    ------
+    MethodError
+        If there is nothing to report.
+    """
+    from fringe3d.report.written import IN_FOLDERS, written_html, written_report
+
+    if path.is_dir() and (path / "measure.toml").is_file():
+        from fringe3d.report.measurement import report_html
+
+        return report_html(read_result(path)), _inputs(path)
+    written = written_report(path)
+    if written is not None:
+        return written_html(written), [path, written]
+    if path.is_dir() or not path.exists():
+        stored = read_result(path)  # says what is missing
+        raise MethodError(f"{stored.folder}: expected one of {', '.join(IN_FOLDERS)}, found none")
+    raise MethodError(
+        f"{path}: expected a result folder, or a rig.toml with the report of its calibration "
+        f"({path.stem}-board.md) beside, found neither. Name what fringe3d measure, design, "
+        "calibrate or evaluate left"
+    )
+
+
+def _inputs(result: Path) -> list[Path]:
+    """Return the files of a result that a page must not replace."""
+    return [result / name for name in ("measure.toml", "points.npz", "rig.toml")]
+
+
+def write_page(html: Path, found: Sequence[Shown], points: int, /, *, overwrite: bool) -> int:
     """Write the points of one result as a page; return its bytes.
 
     Raises
@@ -54,8 +84,9 @@ def write_page(
         raise MethodError(
             f"--html: expected one result for a page, found {len(found)}. Write a page for each"
         )
-    require_writable(html, overwrite=overwrite, inputs=inputs)
-    text = cloud_html(found[0][0], most_points=points)
+    stored = found[0][0]
+    require_writable(html, overwrite=overwrite, inputs=_inputs(stored.folder))
+    text = cloud_html(stored, most_points=points)
     write_text(html, text, overwrite=overwrite)
     return len(text.encode())
 

@@ -7,8 +7,6 @@ import io
 from typing import Any
 
 import numpy as np
-from jinja2 import Environment, PackageLoader, StrictUndefined
-from markupsafe import Markup
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
@@ -17,6 +15,7 @@ from fringe3d.model import Device
 from fringe3d.report.advice import LEAST_PART, reason_rows
 from fringe3d.report.cloud_data import CERTAIN, packed_cloud
 from fringe3d.report.maps import Drawer, Window, colour_map, reasons, relief, window_of
+from fringe3d.report.pages import page
 
 MOST_POINTS = 150_000
 """Points of the small 3D view: 1.8 MB of the page."""
@@ -33,7 +32,7 @@ def report_html(stored: StoredResult, /, *, most_points: int = MOST_POINTS) -> s
     most_points : int; of the small 3D view
     """
     rows = reason_rows(stored.rejection)
-    return _page(
+    return page(
         "measurement.html",
         title=stored.record.get("title") or stored.folder.name,
         record=stored.record,
@@ -63,17 +62,7 @@ def cloud_page(
     title : str
     most_points : int
     """
-    return _page("cloud.html", title=title, cloud=_cloud(maps, camera, most_points))
-
-
-def _page(template: str, **values: Any) -> str:
-    loader = PackageLoader("fringe3d.report")
-    pages = Environment(
-        loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True,
-        lstrip_blocks=True,
-    )  # fmt: skip
-    script = Markup(loader.get_source(pages, "cloud_view.js")[0])
-    return pages.get_template(template).render(script=script, **values)
+    return page("cloud.html", title=title, cloud=_cloud(maps, camera, most_points))
 
 
 def _camera(stored: StoredResult) -> Device | None:
