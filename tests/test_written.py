@@ -11,7 +11,6 @@ import pytest
 
 from fringe3d.cli import main
 from fringe3d.model.html import png
-from fringe3d.report import pdf
 from fringe3d.report.written import IN_FOLDERS, written_report
 from stored_result import write_stored_result
 
@@ -82,7 +81,7 @@ def test_a_report_does_not_replace_what_it_reports(design: Path) -> None:
 def test_what_prints_is_said_where_no_browser_is(
     design: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(pdf.shutil, "which", lambda _name: None)
+    monkeypatch.setattr(shutil, "which", lambda _name: None)
     with pytest.raises(SystemExit):
         main(["report", str(design), "--pdf"])
     assert "expected a browser that prints" in capsys.readouterr().err
