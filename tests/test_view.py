@@ -233,7 +233,7 @@ def test_a_browser_shows_the_live_view(stored: StoredResult) -> None:
             page.mouse.click(250, 350)
             page.get_by_text("row 31, column 42:").wait_for(state="hidden", timeout=20_000)
             assert "order" in live.story.content
-            before = settled(page)
+            before = pixels_of(page.locator("canvas").first)
             live.as_surface(True)
             assert (settled(page, unlike=before) != before).any(axis=-1).mean() > 0.01
             assert said == []
