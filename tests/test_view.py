@@ -22,6 +22,8 @@ from fringe3d.view.shapes import frustum_lines, grid_triangles, light_sheet, vol
 from stored_result import SHAPE, write_stored_result
 
 PERIOD_PX = 16.0
+CANVAS = "canvas:not([width='0'])"
+"""There is an empty one, too."""
 DISTORTION = [0.05, -0.02, 0.001, -0.001]
 
 
@@ -224,7 +226,7 @@ def test_a_browser_shows_the_live_view(stored: StoredResult) -> None:
             assert "127.0.0.1" in live.address
             page, said = watched_page(chromium)
             page.goto(live.address)
-            page.wait_for_selector("canvas", timeout=60_000)
+            page.wait_for_selector(CANVAS, timeout=60_000)
             by_depth = settled(page)
             live.colour_by("brightness")
             assert (settled(page, unlike=by_depth) != by_depth).any(axis=-1).mean() > 0.01
@@ -233,7 +235,7 @@ def test_a_browser_shows_the_live_view(stored: StoredResult) -> None:
             page.mouse.click(250, 350)
             page.get_by_text("row 31, column 42:").wait_for(state="hidden", timeout=20_000)
             assert "order" in live.story.content
-            before = pixels_of(page.locator("canvas").first)
+            before = pixels_of(page.locator(CANVAS).first)
             live.as_surface(True)
             assert (settled(page, unlike=before) != before).any(axis=-1).mean() > 0.01
             assert said == []
@@ -272,7 +274,7 @@ def settled(page: Any, *, unlike: Any = None, patience_s: float = 40.0) -> np.nd
     """Return what the canvas shows once it shows much (and something else than before)."""
     end = time.monotonic() + patience_s
     while time.monotonic() < end:
-        shown = pixels_of(page.locator("canvas").first)
+        shown = pixels_of(page.locator(CANVAS).first)
         coloured = np.ptp(shown.astype(int), axis=-1) > 40
         is_new = unlike is None or (shown != unlike).any(axis=-1).mean() > 0.01
         if is_new and (unlike is not None or coloured.mean() > 0.02):
