@@ -16,6 +16,8 @@ from fringe3d.report.maps import robust_limits
 LEVELS = 2**16 - 1
 SEED = 0
 
+FRAME_MARGIN = 0.1
+
 CERTAIN = 0.99
 """Where all fringe orders are at least so probable there is nothing to show."""
 
@@ -84,16 +86,41 @@ def packed_cloud(
     size = np.maximum(high - low, 1e-6)
     parts = np.round((points - low) / size * LEVELS).astype("<u2")
     seen = maps["points_mm"]
+    first, last = framed(points)
     rotation = facing(seen) if camera is None else camera.device_from_world.rotation
     return {
         "count": len(places),
         "of": int(valid.sum()),
         "low_mm": low.tolist(),
         "size_mm": size.tolist(),
+        "middle_mm": ((first + last) / 2 - low).tolist(),
+        "framed_mm": np.maximum(last - first, 1e-6).tolist(),
         "rotation": rotation.tolist(),
         "positions": _text(parts),
         "channels": [_packed(channel, places) for channel in channels_of(maps)],
     }
+
+
+def framed(points_mm: NDArray[Any], /) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the corners (3,) of a box that holds 98 % of the points along each axis, and a margin.
+
+    Parameters
+    ----------
+    points_mm : (n, 3) float
+
+    Examples
+    --------
+    >>> points = np.linspace(0, 100, 101)[:, None] * [1, 1, 1]
+    >>> points[-1, 2] = 1000  # a stray
+    >>> [corner.round(6).tolist() for corner in framed(points)]
+    [[0.0, 0.0, 0.0], [100.0, 100.0, 108.8]]
+    """
+    low, high = np.percentile(points_mm, [1, 99], axis=0)
+    margin = FRAME_MARGIN * (high - low)
+    return (
+        np.maximum(low - margin, points_mm.min(axis=0)),
+        np.minimum(high + margin, points_mm.max(axis=0)),
+    )
 
 
 def facing(points_mm: NDArray[Any], /) -> NDArray[np.float64]:
@@ -106,7 +133,7 @@ def facing(points_mm: NDArray[Any], /) -> NDArray[np.float64]:
     Examples
     --------
     >>> y, x = np.mgrid[:3, :4].astype(float)
-    >>> facing(np.stack([x, -y, 0 * x], axis=-1)).round(6).tolist()
+    >>> (facing(np.stack([x, -y, 0 * x], axis=-1)).round(6) + 0.0).tolist()
     [[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]]
     """
     row, col = np.nonzero(np.isfinite(points_mm[..., 0]))

@@ -42,7 +42,8 @@ function showCloud(root, cloud) {
     gl.texParameteri(gl.TEXTURE_2D, name, gl.CLAMP_TO_EDGE);
 
   const times = (a, b) => a.map(row => b[0].map((_, j) => row.reduce((s, v, k) => s + v * b[k][j], 0)));
-  const reach = Math.hypot(...cloud.size_mm) / 2;
+  // Strays far away do not set the scale: most points lie in the box that is framed.
+  const reach = Math.hypot(...cloud.framed_mm) / 2, whole = Math.hypot(...cloud.size_mm);
   const start = () => ({turn: [[1, 0, 0], [0, 1, 0], [0, 0, 1]], away: 2 * reach, x: 0, y: 0});
   let state = start();
 
@@ -56,9 +57,9 @@ function showCloud(root, cloud) {
     gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
     // Device frame: x right, y down, z forward.
     const turned = times(state.turn, cloud.rotation);
-    const near = state.away / 50, far = state.away + 4 * reach, f = 2.2;
+    const near = state.away / 50, far = state.away + 2 * whole, f = 2.2;
     const rows = turned.map((row, i) => {
-      const shift = row.reduce((s, v, k) => s - v * cloud.size_mm[k] / 2, 0);
+      const shift = row.reduce((s, v, k) => s - v * cloud.middle_mm[k], 0);
       return [...row.map((v, k) => v * cloud.size_mm[k]), shift + [state.x, state.y, state.away][i]];
     });
     const depth = (far + near) / (far - near), offset = -2 * far * near / (far - near);
@@ -86,7 +87,7 @@ function showCloud(root, cloud) {
   for (const channel of cloud.channels) choice.add(new Option(channel.name));
   choice.onchange = () => colour(cloud.channels[choice.selectedIndex]);
   const slider = root.querySelector("input");
-  const [large, middle] = [...cloud.size_mm].sort((a, b) => b - a);
+  const [large, middle] = [...cloud.framed_mm].sort((a, b) => b - a);
   const spacing = Math.sqrt(large * middle / cloud.count) * 1.1 * canvas.clientHeight / state.away;
   slider.value = Math.min(8, Math.max(1, 1.6 * spacing));
   slider.oninput = draw;
