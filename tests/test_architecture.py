@@ -28,7 +28,8 @@ ALLOWED: dict[str, set[str]] = {
     # A ball that gives the scale is fitted as one of an acceptance test.
     "calibrate": NOUNS | {"evaluate", "geometry", "health", "patterns"},
     "simulate": NOUNS | {"geometry", "patterns"},
-    "io": NOUNS | {"geometry", "patterns", "__init__"},  # a sketch says where devices look
+    # A sketch says where devices look; several exposures become one stack as they are read.
+    "io": NOUNS | {"decode", "geometry", "patterns", "__init__"},
     "design": NOUNS | {"geometry", "patterns"},
     # It judges any cloud, a rival's too: it knows neither rigs nor phases.
     "evaluate": {"errors"},

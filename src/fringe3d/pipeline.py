@@ -17,6 +17,7 @@ from fringe3d.decode import (
     decode_apart,
     filtered_camera,
     response_from_fringes,
+    without_saturated,
 )
 from fringe3d.devices_moved import check_moved
 from fringe3d.errors import CalibrationError, EmptyResultError, Fringe3DError, MethodError
@@ -50,7 +51,7 @@ from fringe3d.model import (
     Scan,
 )
 from fringe3d.model.html import picture, table
-from fringe3d.model.rejection import count_by_reason
+from fringe3d.model.rejection import Rejection, count_by_reason
 from fringe3d.options import MeasureOptions, keep_images, volume_of
 from fringe3d.segments import angles_without_code
 from fringe3d.triangulate import (
@@ -62,6 +63,8 @@ from fringe3d.triangulate import (
 )
 
 __all__ = ["MeasureOptions", "Measurement", "measure", "point_cloud"]
+
+SATURATED = np.uint16(Rejection.SATURATED)
 
 GAP_FACTOR = 10.0
 """Neighbouring pixels belong to one surface up to ten typical distances: slopes up to 84 deg."""
@@ -167,7 +170,7 @@ def measure(
     with clock("decoding"):
         if options.own_response:
             stacks = [stack.with_response(response_from_fringes(stack)) for stack in stacks]
-        phases = tuple(_decode(stack, scan.rig, choice.method, options) for stack in stacks)
+        stacks, phases = _decoded(stacks, scan.rig, choice.method, options)
         findings = check_files(stacks) + check_phases(phases)
         phases = _filtered(phases, options)
         if scan.rig is not None and choice.method != "projector":
@@ -212,6 +215,21 @@ def measure(
         result, matches=matches, points=points, bias=matched.bias, findings=tuple(findings)
     )
     return _finish(result, clock)
+
+
+def _decoded(
+    stacks: list[ImageStack], rig: Rig | None, method: str, options: MeasureOptions
+) -> tuple[list[ImageStack], tuple[CameraPhases, ...]]:
+    """Decode all cameras, and once more without saturated steps those that have some."""
+    phases = []
+    for number, stack in enumerate(stacks):
+        found = _decode(stack, rig, method, options)
+        if any((w.rejection & SATURATED).any() for d in found.directions for w in d.wrapped):
+            stacks[number] = without_saturated(stack)
+            if stacks[number] is not stack:
+                found = _decode(stacks[number], rig, method, options)
+        phases.append(found)
+    return stacks, tuple(phases)
 
 
 def _filtered(

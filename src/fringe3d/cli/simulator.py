@@ -45,6 +45,7 @@ from fringe3d.simulate import (
     from_file,
     knocked,
     record,
+    record_exposures,
     turntable,
 )
 from fringe3d.simulate.objects import MESH_SUFFIXES
@@ -259,9 +260,14 @@ def _write(
     reporter: Reporter,
     rig: Rig,
 ) -> None:
-    scan = record(stage, plan, seed=options.seed, position=number, title=_title(options),
-                  progress=reporter.step)  # fmt: skip
-    write_scan(folder, replace(scan, rig=rig))
+    exposures = stage.setup.recording.exposures
+    if exposures:
+        scan, *series = record_exposures(stage, plan, exposures, seed=options.seed,
+                                         title=_title(options))  # fmt: skip
+    else:
+        scan, series = record(stage, plan, seed=options.seed, position=number,
+                              title=_title(options), progress=reporter.step), []  # fmt: skip
+    write_scan(folder, replace(scan, rig=rig), series=series, exposures=exposures)
     _write_true_rig(folder, stage.rig, options)
     n_dropped = len(set(stage.setup.recording.dropped))
     for place in range(plan.n_images - n_dropped, plan.n_images):

@@ -2,6 +2,7 @@
 
 from fringe3d.decode.apart import decode_apart
 from fringe3d.decode.camera import CameraPhases, DirectionPhases, decode
+from fringe3d.decode.exposures import fuse, without_saturated
 from fringe3d.decode.filtering import filtered_camera
 from fringe3d.decode.order import has_mirrored_neighbours
 from fringe3d.decode.phase import wrapped_phase
@@ -16,12 +17,14 @@ __all__ = [
     "decode",
     "decode_apart",
     "filtered_camera",
+    "fuse",
     "has_mirrored_neighbours",
     "noise_from_repeats",
     "noise_from_steps",
     "ramp_of",
     "response_from_fringes",
     "response_from_ramp",
+    "without_saturated",
     "wrapped_phase",
 ]
 

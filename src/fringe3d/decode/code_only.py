@@ -117,7 +117,7 @@ def _rejection(
     stack: ImageStack, gray_set: GraySet, contrast: NDArray[np.float32]
 ) -> NDArray[np.uint16]:
     rejection = np.zeros(stack.shape, np.uint16)
-    lowest = MIN_CONTRAST_OF_RANGE * (stack.saturation_dn - stack.black_level_dn)
+    lowest = MIN_CONTRAST_OF_RANGE * stack.range_dn
     reject(rejection, 2 * contrast < lowest, Rejection.LOW_MODULATION)
     # Saturated light does not harm a bit; saturated dark does.
     places = [i for i in (*gray_set.indices, *gray_set.inverses) if i >= 0]

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from fringe3d.decode.noise import (
     MIN_MODULATION_OF_RANGE,
     MIN_STEPS_FOR_HARMONIC,
+    Sample,
     estimated_variance,
     harmonic_ratio,
     usable_sample,
@@ -37,6 +38,7 @@ class FringeFit:
         ``sigma_I**2 = read_variance + gain * max(A, 0)``, A above the black level.
     lowest_dn : float, DN; smallest modulation
     ripple : Ripple or None; what a nonlinear response does to the phase
+    scale, growth : (row, col) float32 or None; see `Fused` and `ImageStack.sigma_growth`
     """
 
     solver: NDArray[np.float32]
@@ -45,16 +47,24 @@ class FringeFit:
     gain: float
     lowest_dn: float
     ripple: Ripple | None = None
+    scale: NDArray[np.float32] | None = None
+    growth: NDArray[np.float32] | None = None
 
-    def variance(self, offset: NDArray[np.float32]) -> NDArray[np.float32]:
+    def variance(
+        self, offset: NDArray[np.float32], at: Sample | None = None
+    ) -> NDArray[np.float32]:
         """Return the variance of a grey value, DN**2, where A (above black) is `offset`.
 
-        Shape (1,) where it is the same everywhere.
+        Shape (1,) where it is the same everywhere; `at` are the places of `offset`, if not all.
         """
-        if self.gain == 0:
+        if self.gain == 0 and self.scale is None:
             return np.full(1, self.read_variance, np.float32)
         light = np.maximum(offset, 0)
-        return np.float32(self.read_variance) + np.float32(self.gain) * light
+        if self.scale is None:
+            return np.float32(self.read_variance) + np.float32(self.gain) * light
+        scale = self.scale if at is None else self.scale[at]
+        scaled = scale * np.float32(self.read_variance) + np.float32(self.gain) * light
+        return np.asarray(scale * scaled, np.float32)
 
     def phase_std(
         self,
@@ -66,6 +76,8 @@ class FringeFit:
         noise = np.float32(self.phase_weight) * np.sqrt(self.variance(offset))
         with np.errstate(divide="ignore", invalid="ignore"):
             sigma = np.asarray(noise / modulation, np.float32)
+        if self.growth is not None:
+            sigma = sigma * self.growth
         return sigma if self.ripple is None else sigma * slope_at(self.ripple, phase)
 
 
@@ -92,9 +104,10 @@ def fringe_fit(
         read_variance, gain = estimated_variance(stack, fringe_set, solver), 0.0
     lowest = min_modulation_dn
     if lowest is None:
-        lowest = MIN_MODULATION_OF_RANGE * (stack.saturation_dn - stack.black_level_dn)
+        lowest = MIN_MODULATION_OF_RANGE * stack.range_dn
     ripple = ripple_of(stack.response, fringe_set)
-    return FringeFit(solver, weight, read_variance, gain, lowest, ripple)
+    scale = None if stack.fused is None else stack.fused.scale
+    return FringeFit(solver, weight, read_variance, gain, lowest, ripple, scale, stack.sigma_growth)
 
 
 @lru_cache(maxsize=32)
@@ -133,7 +146,7 @@ def wrapped_map(
     sample = usable_sample(decided)
     noise_dn, harmonic = float("nan"), float("nan")
     if len(sample[0]):
-        variance = fit.variance(offset[sample])
+        variance = fit.variance(offset[sample], sample)
         noise_dn = math.sqrt(float(np.median(variance)))
         if len(fringe_set.indices) >= MIN_STEPS_FOR_HARMONIC:
             light = modulation[sample]

@@ -62,7 +62,7 @@ def estimated_variance(
     solver : (3, N) float32; weights of the steps for A, C and S
     """
     leftover = leftover_basis(fringe_set.shifts)
-    n_steps, dark = len(fringe_set.indices), MIN_MODULATION_OF_RANGE * stack.saturation_dn
+    n_steps, dark = len(fringe_set.indices), MIN_MODULATION_OF_RANGE * stack.range_dn
     wanted = NOISE_SAMPLE
     if n_steps >= MIN_STEPS_FOR_RESIDUAL:
         wanted //= len(leftover)  # each pixel tells so many times

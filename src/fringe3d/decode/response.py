@@ -245,7 +245,7 @@ def response_from_ramp(stack: ImageStack, levels: list[float], places: list[int]
     dark, light = (stack.images[places[i]].astype(np.float32) for i in (0, -1))
     span = light - dark
     usable = (light < stack.saturation_dn) & (span > 0.25 * np.percentile(span, 95))
-    usable &= span > 0.1 * (stack.saturation_dn - stack.black_level_dn)
+    usable &= span > 0.1 * stack.range_dn
     if usable.sum() < LEAST_PIXELS // 10:
         raise MethodError(
             f"{where}: too few pixels are bright in the light image without being saturated "

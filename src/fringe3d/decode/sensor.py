@@ -161,7 +161,7 @@ def _usable(
     stack: ImageStack, low: NDArray[np.generic], high: NDArray[np.generic], shared: int = 1
 ) -> NDArray[np.intp]:
     """Return places of pixels that clipping does not touch, a sample where there are many."""
-    margin = MARGIN_DN * (stack.saturation_dn - stack.black_level_dn)
+    margin = MARGIN_DN * stack.range_dn
     good = (high.astype(np.float64) < stack.saturation_dn - margin) & (low.astype(np.float64) > 0)
     index = np.flatnonzero(good)
     return index[:: max(1, len(index) * shared // MOST_PIXELS) | 1]

@@ -45,7 +45,7 @@ def check_exposure(stack: ImageStack, lit: LitMap, /) -> list[Fault]:
         return [Fault(kind=Kind.SATURATION, camera=name, figure="part of the lit pixels",
                       value=saturated, limit=SATURATED_PART, text=text)]  # fmt: skip
     top = float(np.percentile(bright, DARK_PERCENTILE)) - stack.black_level_dn
-    part = top / (stack.saturation_dn - stack.black_level_dn)
+    part = top / stack.range_dn
     if part >= DARK_PART:
         return []
     text = (

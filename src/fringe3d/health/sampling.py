@@ -81,8 +81,7 @@ def lit_map(stack: ImageStack, /) -> LitMap:
     low, high = shown.min(axis=0), shown.max(axis=0)
     span = (high - low).astype(np.float32)
     typical = float(np.percentile(span, TYPICAL_PERCENTILE))
-    grey_values = stack.saturation_dn - stack.black_level_dn
-    least = max(LIT_OF_TYPICAL * typical, LIT_OF_RANGE * grey_values)
+    least = max(LIT_OF_TYPICAL * typical, LIT_OF_RANGE * stack.range_dn)
     return LitMap(low, high, span > least)
 
 

@@ -5,17 +5,17 @@ from __future__ import annotations
 import fnmatch
 import re
 from collections.abc import Callable
-from dataclasses import replace
 from functools import partial
 from pathlib import Path, PurePosixPath
 
+from fringe3d.decode import fuse
 from fringe3d.errors import ImageError, PlanError, RigError
 from fringe3d.io.images import Grey, read_image, read_images, read_stack
 from fringe3d.io.noisefile import noise_for, read_noise
 from fringe3d.io.responsefile import read_responses, response_for
 from fringe3d.io.rigfile import read_rig
 from fringe3d.io.scanfile import CameraTable, ScanTable, read_scan_table
-from fringe3d.model import ImageStack, PatternPlan, Rig, Scan
+from fringe3d.model import ImageStack, NoiseModel, PatternPlan, Rig, Scan
 
 LOSSY_SUFFIXES = {".jpg", ".jpeg"}
 
@@ -71,22 +71,21 @@ def read_scan(
     the_rig = the_rig if with_rig else None
     _require_images(file, table, images)
     sources = [
-        _source(table, camera, _base_folder(file, table, camera, images), plan.n_images)
+        _source(table, camera, _base_folder(file, table, camera, images), table.n_recorded)
         for camera in table.cameras
     ]
-    total = plan.n_images * len(sources)
+    total = table.n_recorded * len(sources)
     stacks: list[ImageStack] = []
+    models = read_noise(noise) if noise else {}
     for camera, source in zip(table.cameras, sources, strict=True):
-        done = partial(_report, progress, plan.n_images * len(stacks), total)
+        done = partial(_report, progress, table.n_recorded * len(stacks), total)
         pictures = _pictures(table, camera, source, done)
-        stacks.append(_stack(table, camera, source, pictures, plan))
+        model = noise_for(noise, models, camera.name) if noise else table.noise_model
+        stacks.append(_fused(table, camera, source, pictures, plan, model))
     response = response or (file.parent / table.response if table.response else None)
     if response is not None:
         known = read_responses(response)
         stacks = [s.with_response(response_for(response, known, s.device_name)) for s in stacks]
-    if noise is not None:
-        models = read_noise(noise)
-        stacks = [replace(s, noise=noise_for(noise, models, s.device_name)) for s in stacks]
     scan = Scan(stacks=tuple(stacks), rig=the_rig, title=table.title)
     _require_fit(scan, rig_file)
     return scan
@@ -163,7 +162,7 @@ def _pictures(
     """Return the images (pattern, row, col); those of a stack stay in their file."""
     if camera.stack is None:
         return read_images(source, channel=camera.channel, done=done)
-    images, n_images = read_stack(source[0]), table.plan().n_images
+    images, n_images = read_stack(source[0]), table.n_recorded
     n_needed = max(table.image_indices or [n_images - 1]) + 1
     if len(images) < n_needed or (len(images) > n_images and table.extra_images == "error"):
         raise ImageError(
@@ -257,13 +256,28 @@ def _require_no_more(base: Path, camera: CameraTable, indices: list[int]) -> Non
         )
 
 
-def _stack(
+def _fused(
     table: ScanTable,
     camera: CameraTable,
     source: list[Path],
     pictures: Grey,
     plan: PatternPlan,
+    noise: NoiseModel | None,
 ) -> ImageStack:
+    """Return the stack of a camera; several exposures, which follow each other, become one."""
+    _require_depth(table, camera, source, pictures)
+    exposures, n = table.exposures or [1.0], plan.n_images
+    stacks = [
+        _stack(table, camera, source, pictures[i * n : (i + 1) * n], plan, noise)
+        for i in range(len(exposures))
+    ]
+    return fuse(stacks, exposures) if len(stacks) > 1 else stacks[0]
+
+
+def _require_depth(
+    table: ScanTable, camera: CameraTable, source: list[Path], pictures: Grey
+) -> None:
+    """Refuse grey values that do not go with the bit depth of the scan file."""
     where = source[0] if camera.stack is not None else source[0].parent
     n_bits = 8 * pictures.dtype.itemsize
     top = 2**table.bit_depth - 1
@@ -280,13 +294,23 @@ def _stack(
             f"{where}: camera '{camera.name}': bit_depth = {table.bit_depth} was "
             f"declared, but no grey value exceeds {brightest}. Correct bit_depth, or the exposure"
         )
+
+
+def _stack(
+    table: ScanTable,
+    camera: CameraTable,
+    source: list[Path],
+    pictures: Grey,
+    plan: PatternPlan,
+    noise: NoiseModel | None,
+) -> ImageStack:
     return ImageStack(
         images=pictures,
         plan=plan,
         device_name=camera.name,
         saturation_dn=table.saturation,
         black_level_dn=table.black_level_dn,
-        noise=table.noise.model() if table.noise else None,
+        noise=noise,
         is_lossy=any(file.suffix.lower() in LOSSY_SUFFIXES for file in source),
     )
 

@@ -103,6 +103,7 @@ class ScanTable(PlanTable):
     black_level_dn: Annotated[float, Field(ge=0)] = 0.0
     saturation_dn: PositiveFloat | None = None
     exposure_ms: PositiveFloat | None = None
+    exposures: list[PositiveFloat] | None = None
     extra_images: Literal["error", "ignore"] = "error"
     image_indices: list[int] | None = None
     noise: NoiseTable | None = None
@@ -113,6 +114,16 @@ class ScanTable(PlanTable):
         """Return the grey value from which on pixels are saturated, DN."""
         top = float(2**self.bit_depth - 1)
         return top if self.saturation_dn is None else self.saturation_dn
+
+    @property
+    def noise_model(self) -> NoiseModel | None:
+        """Return the noise of a grey value, where it is known."""
+        return self.noise.model() if self.noise else None
+
+    @property
+    def n_recorded(self) -> int:
+        """Return the number of images of each camera: the sequence, once for each exposure."""
+        return self.plan().n_images * len(self.exposures or [1.0])
 
     @model_validator(mode="after")
     def _grey_values_in_order(self) -> ScanTable:
@@ -129,7 +140,7 @@ def read_scan_table(path: Path, /) -> ScanTable:
     """Read and check a scan file."""
     table = read_toml(path, ScanTable, PlanError)
     _require_plan(path, table)
-    n_images = table.plan().n_images
+    n_images = table.n_recorded
     if table.image_indices is not None and len(table.image_indices) != n_images:
         raise PlanError(
             f"{path}: image_indices: expected {n_images} numbers, one for each pattern of the "

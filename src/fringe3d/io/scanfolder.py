@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from itertools import chain
 from pathlib import Path
 
 from fringe3d.io.images import write_png
@@ -17,8 +19,13 @@ from fringe3d.io.scanfile import (
 from fringe3d.model import Scan
 
 
-def write_scan(folder: Path, scan: Scan, /) -> None:
-    """Write ``scan.toml``, ``rig.toml`` and the images of every camera into a folder."""
+def write_scan(
+    folder: Path, scan: Scan, /, *, series: Sequence[Scan] = (), exposures: Sequence[float] = ()
+) -> None:
+    """Write ``scan.toml``, ``rig.toml`` and the images of every camera into a folder.
+
+    `series` are the same with other exposures; `exposures` tells the amount of light of all.
+    """
     first = scan.stacks[0]
     bits = 8 * first.images.dtype.itemsize
     shape = first.plan.projector_shape
@@ -36,6 +43,7 @@ def write_scan(folder: Path, scan: Scan, /) -> None:
         )
         if first.noise
         else None,
+        exposures=list(exposures) or None,
         cameras=[
             CameraTable(name=stack.device_name, images=f"{stack.device_name}/{{index:03d}}.png")
             for stack in scan.stacks
@@ -46,7 +54,8 @@ def write_scan(folder: Path, scan: Scan, /) -> None:
     (folder / "scan.toml").write_text(toml_text(table), encoding="utf-8")
     if scan.rig is not None:
         (folder / "rig.toml").write_text(rig_text(scan.rig), encoding="utf-8")
-    for stack in scan.stacks:
-        (folder / stack.device_name).mkdir(exist_ok=True)
-        for index, image in enumerate(stack.images):
-            write_png(folder / stack.device_name / f"{index:03d}.png", image)
+    for stacks in zip(scan.stacks, *(other.stacks for other in series), strict=True):
+        place = folder / stacks[0].device_name
+        place.mkdir(exist_ok=True)
+        for index, image in enumerate(chain.from_iterable(stack.images for stack in stacks)):
+            write_png(place / f"{index:03d}.png", image)

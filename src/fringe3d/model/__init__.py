@@ -13,7 +13,7 @@ from fringe3d.model.rejection import Rejection
 from fringe3d.model.response import Response, Ripple
 from fringe3d.model.rig import Rig
 from fringe3d.model.scan import Scan
-from fringe3d.model.stack import ImageStack, NoiseModel
+from fringe3d.model.stack import Fused, ImageStack, NoiseModel
 from fringe3d.model.volume import MeasuringVolume
 
 __all__ = [
@@ -23,6 +23,7 @@ __all__ = [
     "Correspondences",
     "Device",
     "Fringe",
+    "Fused",
     "GrayBit",
     "ImageStack",
     "MeasuringVolume",

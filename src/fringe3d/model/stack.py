@@ -34,6 +34,21 @@ class NoiseModel:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Fused:
+    """Which of several exposures each pixel comes from.
+
+    Parameters
+    ----------
+    exposure : (row, col) float32; amount of light, as the scan file counts it
+    scale : (row, col) float32; the longest exposure over that of the pixel: grey values above black
+        were multiplied by it, so that all have the brightness of one exposure
+    """
+
+    exposure: NDArray[np.float32]
+    scale: NDArray[np.float32]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ImageStack:
     """Recorded images of one camera.
 
@@ -47,6 +62,10 @@ class ImageStack:
     noise : NoiseModel or None (estimated from the images)
     is_lossy : bool; the image files were compressed with loss (JPEG)
     response : Response or None; what it does to the phase is taken out
+    full_range_dn : float or None, DN; range of the sensor where it is not from black to saturation
+    fused : Fused or None; how these grey values were put together from several exposures
+    sigma_growth : (row, col) float32 or None; factor on the noise of the phase, where it rests on
+        fewer steps
     """
 
     images: NDArray[np.unsignedinteger[Any]]
@@ -57,6 +76,9 @@ class ImageStack:
     noise: NoiseModel | None = None
     is_lossy: bool = False
     response: Response | None = None
+    full_range_dn: float | None = None
+    fused: Fused | None = None
+    sigma_growth: NDArray[np.float32] | None = None
 
     def __post_init__(self) -> None:
         images = np.asarray(self.images)
@@ -76,6 +98,11 @@ class ImageStack:
     def shape(self) -> tuple[int, int]:
         """Return (n_rows, n_cols) of the images."""
         return self.images.shape[1], self.images.shape[2]
+
+    @property
+    def range_dn(self) -> float:
+        """Return the range of grey values that the sensor resolves, DN."""
+        return self.full_range_dn or self.saturation_dn - self.black_level_dn
 
     def subset(self, indices: Iterable[int] | Sequence[int]) -> ImageStack:
         """Return the stack that keeps only the images with these places."""

@@ -76,7 +76,8 @@ def write_result(
             center = _camera_center(scan, result)
             doubt = calibration_sigma_mm(scan, result)
             more = {} if doubt is None else {CALIBRATION_SIGMA: doubt}
-            write_points(folder / "points.npz", point_maps(result), camera_center_mm=center, **more)
+            maps = point_maps(result) | _exposure_map(scan, result)
+            write_points(folder / "points.npz", maps, camera_center_mm=center, **more)
             columns = {name: sigma[result.points.is_valid] for name, sigma in more.items()}
             write_ply(folder / "cloud.ply", point_cloud(result), viewpoint_mm=center,
                       comment=f"fringe3d {__version__}, mm", **columns)  # fmt: skip
@@ -92,6 +93,12 @@ def stored_result(scan: Scan, options: MeasureOptions, result: Measurement, /) -
     maps = point_maps(result)
     record = toml_plain(measure_record(scan, options, result))
     return StoredResult(folder=Path("result"), record=record, maps=maps, rig=scan.rig)
+
+
+def _exposure_map(scan: Scan, result: Measurement) -> dict[str, NDArray[Any]]:
+    """Return from which exposure each pixel of C1 comes, where there are several."""
+    stack = next(s for s in scan.stacks if s.device_name == result.main.device_name)
+    return {} if stack.fused is None else {"exposure": stack.fused.exposure}
 
 
 def point_maps(result: Measurement, /) -> dict[str, NDArray[Any]]:

@@ -6,7 +6,14 @@ from fringe3d.simulate.objects import OBJECTS, from_file
 from fringe3d.simulate.optics import CameraOptics, ProjectorOptics, Recording, Surface
 from fringe3d.simulate.presets import PRESETS, Preset
 from fringe3d.simulate.quick import simulate
-from fringe3d.simulate.render import Setup, Stage, prepare, record, turntable
+from fringe3d.simulate.render import (
+    Setup,
+    Stage,
+    prepare,
+    record,
+    record_exposures,
+    turntable,
+)
 from fringe3d.simulate.scene import Scene
 from fringe3d.simulate.truth import Truth
 
@@ -27,6 +34,7 @@ __all__ = [
     "knocked",
     "prepare",
     "record",
+    "record_exposures",
     "simulate",
     "turntable",
 ]

@@ -159,6 +159,7 @@ class Recording:
     spin_deg_s : float, deg/s; the object turns about the world's z axis
     dropped : places of the images that never arrived; later ones move up
     repeated : places at which the projector still showed the pattern before
+    exposures : the sequence is recorded once with each of these multiples of the camera's exposure
     """
 
     ambient: float = 0.03
@@ -168,10 +169,13 @@ class Recording:
     spin_deg_s: float = 0.0
     dropped: tuple[int, ...] = ()
     repeated: tuple[int, ...] = ()
+    exposures: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
         _require(self.ambient >= 0, "recording: ambient", "a number >= 0", self.ambient)
         _require(self.frame_ms > 0, "recording: frame_ms", "a positive time", self.frame_ms)
+        _require(all(e > 0 for e in self.exposures), "recording: exposures", "numbers > 0",
+                 self.exposures)  # fmt: skip
 
     @property
     def moves(self) -> bool:

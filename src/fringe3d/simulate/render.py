@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -186,6 +186,18 @@ def record(
         for stack, camera in zip(images, stage.rig.cameras, strict=True)
     ]
     return Scan(stacks=tuple(stacks), rig=stage.rig, title=title)
+
+
+def record_exposures(
+    stage: Stage, plan: PatternPlan, exposures: Sequence[float], /, *, seed: int, title: str = ""
+) -> list[Scan]:
+    """Record a plan once for each of several multiples of the camera's exposure."""
+    scans = []
+    for number, factor in enumerate(exposures):
+        camera = replace(stage.setup.camera, exposure=stage.setup.camera.exposure * factor)
+        lit = replace(stage, setup=replace(stage.setup, camera=camera))
+        scans.append(record(lit, plan, seed=seed + 1000 * number, title=title))
+    return scans
 
 
 def _follow(camera: Device, rig: Rig, scene: Scene, setup: Setup) -> Footprint:
