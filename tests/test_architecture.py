@@ -23,7 +23,7 @@ ALLOWED: dict[str, set[str]] = {
     "correspond": NOUNS | {"geometry", "kernels", "patterns"},
     "triangulate": NOUNS | {"geometry"},
     # Health judges the stages before it, so it may know their results and the geometry.
-    "health": NOUNS | {"geometry", "decode", "patterns"},
+    "health": NOUNS | {"geometry", "decode", "kernels", "patterns"},
     # It judges its own fits, in the words of the other checks.
     # A ball that gives the scale is fitted as one of an acceptance test.
     "calibrate": NOUNS | {"evaluate", "geometry", "health", "patterns"},

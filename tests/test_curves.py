@@ -56,7 +56,7 @@ class Rays:
         self.ends = np.tile([NEAR, FAR], (len(pixels), 1))
         self.curves, self.span = np.empty((len(pixels), _curves.N_CURVE)), np.empty((300, 2))
         _curves.trace(self.ends, self.along_p, self.along_2, self.projector, self.camera2,
-                      self.curves, self.span)  # fmt: skip
+                      self.curves, self.span, (0, 300))  # fmt: skip
 
     def seen(self, depths: Floats) -> tuple[Floats, Floats]:
         """Return w in the projector and (x, y) in C2 of points of the rays."""
@@ -106,7 +106,7 @@ def test_span_holds_the_whole_part_of_the_ray() -> None:
     np.testing.assert_allclose(rays.span[:, 0], w.min(axis=0), atol=EXACT_PX)
     np.testing.assert_allclose(rays.span[:, 1], w.max(axis=0), atol=EXACT_PX)
     again = np.empty_like(rays.span)
-    _curves.span_of(rays.ends, rays.along_p, rays.projector, again)
+    _curves.span_of(rays.ends, rays.along_p, rays.projector, again, (0, 300))
     np.testing.assert_array_equal(again, rays.span)
 
 

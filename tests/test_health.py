@@ -222,7 +222,7 @@ def test_correlation_over_a_shift_equals_numpys() -> None:
     values[5::70] = np.nan
     normal, shifts = np.array([0.6, 0.8]), np.arange(-40, 41, 4)
     found = np.empty(len(shifts))
-    profile(values, pixels, texture, normal, shifts, 300, found)
+    profile(values, pixels, texture, normal, shifts, 300, found, (0, len(shifts)))
     for k, shift in enumerate(shifts):
         col, row = np.rint(np.nan_to_num(pixels + shift * normal, nan=-9)).astype(int).T
         inside = (row >= 0) & (row < 60) & (col >= 0) & (col < 80)

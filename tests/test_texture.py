@@ -22,7 +22,7 @@ def test_fine_contrast_is_the_smoothed_brightness_less_its_slow_part() -> None:
     at = (np.arange(10) + 0.5) * 4 - 0.5, (np.arange(14) + 0.5) * 4 - 0.5
     blocks = 0.3 * at[0][:, None] - 0.2 * at[1] + 0.01 * at[0][:, None] * at[1]
     found = np.empty(SHAPE, np.float32)
-    fine_contrast(bright, blocks.astype(np.float32), np.float32(4), found)
+    fine_contrast(bright, blocks.astype(np.float32), np.float32(4), found, (0, len(bright)))
     smooth = bright.astype(np.float64)
     for axis in (0, 1):
         smooth = ndimage.correlate1d(smooth, BINOMIAL, axis=axis)

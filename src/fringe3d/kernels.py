@@ -21,8 +21,9 @@ CONSTANTS = "model"
 
 COMPILING = "compiling, once after installation or an update: about a minute"
 
-PARTS, LEAST_ROWS = 8, 16
-"""Parts of an image for each thread, which so end nearly together, and rows of the least part."""
+PARTS, LEAST_ROWS, POINTS = 8, 16, 4096
+"""Parts of an image for each thread, which so end nearly together, and rows of the least part, or
+points of the least part of a list."""
 
 OWN_FOLDER = "NUMBA_CACHE_DIR"
 """Environment variable by which Numba keeps its code elsewhere."""
@@ -86,7 +87,9 @@ def _code_in(folder: Path) -> Iterator[Path]:
     yield from folder.glob("*.nb[ci]")
 
 
-def over_rows(kernel: Callable[..., object], n_rows: int, /, *args: object) -> None:
+def over_rows(
+    kernel: Callable[..., object], n_rows: int, /, *args: object, least: int = LEAST_ROWS
+) -> None:
     """Run a compiled function over all rows, parts of them in threads of their own.
 
     Threads that compiled code starts itself (``parallel=True``) make it compile five times as long,
@@ -98,11 +101,12 @@ def over_rows(kernel: Callable[..., object], n_rows: int, /, *args: object) -> N
         last row but one); what it writes to a row depends on no other row
     n_rows : int
     args : of the function
+    least : int; rows of the least part, `POINTS` where a row is a single point
     """
     from numba import get_num_threads
 
     n_threads = get_num_threads()
-    step = max(LEAST_ROWS, -(-n_rows // (PARTS * n_threads)))
+    step = max(least, -(-n_rows // (PARTS * n_threads)))
     if n_threads == 1 or n_rows <= step:
         kernel(*args, (0, n_rows))
         return

@@ -11,10 +11,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import NDArray
 
 from fringe3d.correspond._lanes import LANES, carry
+from fringe3d.kernels import over_rows
 
 TWO_PI = 2.0 * math.pi
 TURNS_PER_RAD = np.float32(1 / TWO_PI)
@@ -54,14 +55,15 @@ def _wrapped(angle):  # type: ignore[no-untyped-def]
     return angle - TWO_PI * math.floor(angle / TWO_PI + 0.5)
 
 
-@njit(cache=True, parallel=True, error_model="numpy")
-def write_jumps(phase, index, jumps):  # type: ignore[no-untyped-def]
+@njit(cache=True, nogil=True, error_model="numpy")
+def write_jumps(phase, index, jumps, rows):  # type: ignore[no-untyped-def]
     """Write the price of a jump next to each pixel, (n, 4) for `WAYS`: less where the phase bends.
 
-    phase (row, col): rad; index (row, col): number of the pixel, -1 for none.
+    phase (row, col): rad; index (row, col): number of the pixel, -1 for none; rows: first and last
+    but one.
     """
     n_rows, n_cols = phase.shape
-    for row in prange(n_rows):
+    for row in range(rows[0], rows[1]):
         for col in range(n_cols):
             i = index[row, col]
             if i < 0:
@@ -136,16 +138,16 @@ def _sweep(sign, phase, index, first, label_step, jumps, costs, total):  # type:
                 leasts[line % 2, way, col] = smallest
 
 
-@njit(cache=True, parallel=True, error_model="numpy")
-def _both_sweeps(phase, index, first, label_step, jumps, costs, totals):  # type: ignore[no-untyped-def]
-    for number in prange(2):
+@njit(cache=True, nogil=True, error_model="numpy")
+def _sweeps(phase, index, first, label_step, jumps, costs, totals, numbers):  # type: ignore[no-untyped-def]
+    for number in range(numbers[0], numbers[1]):
         _sweep(1 - 2 * number, phase, index, first, label_step, jumps, costs, totals[number])
 
 
-@njit(cache=True, parallel=True, error_model="numpy")
-def _summed(totals, costs, energy):  # type: ignore[no-untyped-def]
+@njit(cache=True, nogil=True, error_model="numpy")
+def _sum(totals, costs, energy, rows):  # type: ignore[no-untyped-def]
     """Write the sum of all paths, each pixel's own cost counted once; `FAR_ENERGY` for no order."""
-    for i in prange(len(energy)):
+    for i in range(rows[0], rows[1]):
         for a in range(energy.shape[1]):
             own = costs[i, a]
             known = own < FAR
@@ -259,10 +261,10 @@ def aggregate(
     """
     if jumps is None:
         jumps = np.empty((len(costs), len(WAYS)), np.uint16)
-        write_jumps(phase, index, jumps)
+        over_rows(write_jumps, len(phase), phase, index, jumps)
     totals = paths(phase, index, first, label_step, costs, jumps)
     energy = np.empty_like(costs)
-    _summed(totals, costs, energy)
+    over_rows(_sum, len(energy), totals, costs, energy)
     return energy
 
 
@@ -277,5 +279,5 @@ def paths(
 ) -> NDArray[np.uint16]:
     """Return the sums of the four paths down and of the four up, (2, n, m); see `aggregate`."""
     totals = np.zeros((2, *costs.shape), np.uint16)
-    _both_sweeps(phase, index, first, label_step, jumps, costs, totals)
+    over_rows(_sweeps, 2, phase, index, first, label_step, jumps, costs, totals, least=1)
     return totals

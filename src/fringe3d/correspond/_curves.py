@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
 from fringe3d.geometry._lens import project_normalized
 
@@ -181,11 +181,11 @@ def _span(w, span):  # type: ignore[no-untyped-def]
             return
 
 
-@njit(cache=True, parallel=True, error_model="numpy")
-def span_of(ends, along_p, projector, span):  # type: ignore[no-untyped-def]
+@njit(cache=True, nogil=True, error_model="numpy")
+def span_of(ends, along_p, projector, span, rows):  # type: ignore[no-untyped-def]
     """Write the least and the largest w, (n, 2) px, on parts of viewing rays; see `trace`."""
     base_p, lens_p, axis = projector
-    for i in prange(len(ends)):
+    for i in range(rows[0], rows[1]):
         least, largest, total = np.inf, -np.inf, 0.0
         for k in range(3):
             t = ends[i, 0] + 0.5 * k * (ends[i, 1] - ends[i, 0])
@@ -195,8 +195,8 @@ def span_of(ends, along_p, projector, span):  # type: ignore[no-untyped-def]
         span[i, 0], span[i, 1] = least if known else np.nan, largest if known else np.nan
 
 
-@njit(cache=True, parallel=True, error_model="numpy")
-def trace(ends, along_p, along_2, projector, camera2, curves, span):  # type: ignore[no-untyped-def]
+@njit(cache=True, nogil=True, error_model="numpy")
+def trace(ends, along_p, along_2, projector, camera2, curves, span, rows):  # type: ignore[no-untyped-def]
     """Write the curves (n, N_CURVE) of parts of viewing rays, NaN where they are no such curves.
 
     ends (n, 2): mm; along_p, along_2 (n, 3): the rays in the frames of projector and C2; projector
@@ -204,7 +204,7 @@ def trace(ends, along_p, along_2, projector, camera2, curves, span):  # type: ig
     largest w on the part; NaN where the projector does not light all of it.
     """
     base_p, lens_p, axis = projector
-    for i in prange(len(ends)):
+    for i in range(rows[0], rows[1]):
         near, third = ends[i, 0], (ends[i, 1] - ends[i, 0]) / 3
         depths = (near, near + third, near + 2 * third, ends[i, 1])
         w = (

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
 from fringe3d.correspond._phase import TWO_PI
 
@@ -17,18 +17,18 @@ def _wrapped(angle):  # type: ignore[no-untyped-def]
     return f4(angle - f4(TWO_PI) * np.rint(angle * f4(1 / TWO_PI)))
 
 
-@njit(cache=True, parallel=True, nogil=True, error_model="numpy")
-def write_rises(phase, sigma, limits, rises, smooth):  # type: ignore[no-untyped-def]
+@njit(cache=True, nogil=True, error_model="numpy")
+def write_rises(phase, sigma, limits, rises, smooth, rows):  # type: ignore[no-untyped-def]
     """Write the phase from each pixel to the next in both axes, wrapped, rad, and whether it is
     that of one surface, (2, row, col).
 
     phase, sigma (row, col): rad, NaN where unknown; limits = (second difference on a surface,
     rad; the same in standard deviations; largest rise, rad). Axis 0 leads to the next row; the last
-    row and column have no next one.
+    row and column have no next one. rows: first and last but one.
     """
     n_rows, n_cols = phase.shape
     most_bend, most_sigma, steepest = limits
-    for row in prange(n_rows):
+    for row in range(rows[0], rows[1]):
         for axis in range(2):
             down, right = 1 - axis, axis
             for col in range(n_cols):

@@ -5,22 +5,22 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
 from fringe3d.correspond._curves import pixel, turned
 
 
-@njit(cache=True, parallel=True, nogil=True, error_model="numpy")
-def write_light(index, depths, rays, projector, distance, light):  # type: ignore[no-untyped-def]
+@njit(cache=True, nogil=True, error_model="numpy")
+def write_light(index, depths, rays, projector, distance, light, rows):  # type: ignore[no-untyped-def]
     """Write how far points are from the projector, (m,) mm, and its pixels that light them, (m, 2).
 
     index (m,): which of n viewing rays; depths (n,): mm along them; rays = (where (n,): number of
     the pixel, directions (pixel, 3) in the world, rotation onto the frame of the projector);
-    projector = (base (3,), lens).
+    projector = (base (3,), lens); rows: first of the m and last but one.
     """
     where, directions, rotation = rays
     base, lens = projector
-    for k in prange(len(index)):
+    for k in range(rows[0], rows[1]):
         along = turned(rotation, directions[where[index[k]]])
         t = np.float64(depths[index[k]])
         x, y, z = base[0] + t * along[0], base[1] + t * along[1], base[2] + t * along[2]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
 CELLS = 8
 """For each pixel of the device: its edges of surfaces are known to a tenth of a pixel."""
@@ -91,20 +91,20 @@ def _way_behind(at, own, first, nearest, margin_px):  # type: ignore[no-untyped-
     return own - best
 
 
-@njit(cache=True, parallel=True, nogil=True, error_model="numpy")
-def find_behind(line, place, distance, join_mm, margin_px, behind):  # type: ignore[no-untyped-def]
+@njit(cache=True, nogil=True, error_model="numpy")
+def find_behind(line, place, distance, join_mm, margin_px, behind, lines):  # type: ignore[no-untyped-def]
     """Find how far the surface at each sample lies behind another, or another part of itself.
 
     line (row, col): number of the epipolar line, rising with the row; place, distance (row, col):
     where along its line the device sees the surface, px, rising with the column where it faces
     the device, and how far from the device it is, mm; NaN where there is none. Neighbours are
     joined where their distances differ by less than join_mm. Writes behind (n_lines, col), mm:
-    infinite where the surface faces away from the device.
+    infinite where the surface faces away from the device. lines: first and last but one.
     """
     first = np.floor(np.nanmin(place)) - 1
     n_cells = int((np.ceil(np.nanmax(place)) + 1 - first) * CELLS) + 1
-    n_lines, n_cols = behind.shape
-    for k in prange(n_lines):
+    n_cols = behind.shape[1]
+    for k in range(lines[0], lines[1]):
         along, across = np.empty(n_cols), np.empty(n_cols)
         nearest = np.empty(n_cells)
         _sample(k, line, place, distance, join_mm, along, across)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
 from fringe3d.correspond._phase import MAX_JUMP, TWO_PI, phase_difference
 from fringe3d.geometry._lens import project_normalized
@@ -152,9 +152,9 @@ def refine(where, rise, line, n, phi1, lens2, phase2):  # type: ignore[no-untype
     return s, rise
 
 
-@njit(cache=True, parallel=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy")
 def search(  # type: ignore[no-untyped-def]
-    phase1, order1, base, along, near, far, lens2, phase2, order2, second, found, state
+    phase1, order1, base, along, near, far, lens2, phase2, order2, second, found, state, rows
 ):
     """Find the point with equal phase and order on each epipolar curve.
 
@@ -162,9 +162,9 @@ def search(  # type: ignore[no-untyped-def]
     of C2, mm; near, far (n,): the segment, mm; phase2, order2 (row, col): maps of C2; second =
     (phase1 (n,), limit (n,), phase2): another direction, rad, empty for none. Writes
     found (n, 3): x, y, phase gradient along the curve (rad / px); state (n,): FOUND, NONE,
-    SEVERAL or NO_VIEW.
+    SEVERAL or NO_VIEW. rows: first of the n and last but one.
     """
-    for i in prange(len(phase1)):
+    for i in range(rows[0], rows[1]):
         state[i] = NO_VIEW
         found[i, :] = np.nan
         line = segment(base, along[i], near[i], far[i])

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from fringe3d.correspond import _curves
 from fringe3d.geometry import grid_intervals, grid_rays, projection
 from fringe3d.geometry.projection import lens_of
+from fringe3d.kernels import POINTS, over_rows
 from fringe3d.model import Device, MeasuringVolume
 
 OUTSIDE_PART = 0.4
@@ -154,8 +155,9 @@ def _traced(
         )
         found = np.empty((len(own), _curves.N_CURVE))
         spans = np.empty((2, len(own), 2))
-        _curves.trace(far_ends, along_p, along_2, sheets, seen, found, spans[0])
-        _curves.span_of(own, along_p, sheets, spans[1])
+        over_rows(_curves.trace, len(own), far_ends, along_p, along_2, sheets, seen, found,
+                  spans[0], least=POINTS)  # fmt: skip
+        over_rows(_curves.span_of, len(own), own, along_p, sheets, spans[1], least=POINTS)
         curves[rows] = found.reshape(-1, shape[1], _curves.N_CURVE).swapaxes(1, 2)
         for table, values in ((wide, spans[0]), (inner, spans[1])):
             table[rows] = values.reshape(table[rows].shape)

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fringe3d.correspond import _joining
+from fringe3d.kernels import over_rows
 
 SMOOTH_RAD, SMOOTH_SIGMA = 0.1, 3.0
 """Second difference of the phase on a surface: curvature, and noise."""
@@ -53,7 +54,7 @@ def rises_of(
     shape = (2, *valid.shape)
     rises, smooth = np.empty(shape, np.float32), np.empty(shape, np.bool_)
     limits = SMOOTH_RAD, SMOOTH_SIGMA * np.sqrt(6), STEEPEST_RAD
-    _joining.write_rises(phase, noise, limits, rises, smooth)
+    over_rows(_joining.write_rises, len(phase), phase, noise, limits, rises, smooth)
     return rises, smooth
 
 

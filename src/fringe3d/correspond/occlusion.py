@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from fringe3d.correspond._occlusion import find_behind
 from fringe3d.geometry import grid_rays
+from fringe3d.kernels import over_rows
 from fringe3d.model import Device
 
 Floats = NDArray[np.float64]
@@ -101,7 +102,8 @@ class _Lines:
         """Return how far each point lies behind what the device sees there, (row, col)."""
         n_cols = self._number.shape[1]
         behind = np.empty((int(np.nanmax(self._number)) + 2, n_cols))
-        find_behind(self._number, self._place, self._distance, self._join_mm, margin_px, behind)
+        over_rows(find_behind, len(behind), self._number, self._place, self._distance,
+                  self._join_mm, margin_px, behind)  # fmt: skip
         nearest = np.rint(np.nan_to_num(self._number)).astype(np.int64)
         found = np.empty(self.pitch_mm.shape)
         self._turned(found)[:] = behind[nearest, np.arange(n_cols)]

@@ -10,6 +10,7 @@ from fringe3d.correspond._phase import INTERPOLATION_WEIGHT
 from fringe3d.errors import MethodError
 from fringe3d.geometry import depth_interval, frustum, grid_rays, pixel_centres, project, rays
 from fringe3d.geometry.projection import lens_of
+from fringe3d.kernels import POINTS, over_rows
 from fringe3d.model import (
     NO_ORDER,
     Correspondences,
@@ -86,9 +87,10 @@ def match_cameras(
     phase1, order1 = phases1.phase[valid], phases1.order_class[valid]
     lens2, phase2, order2 = lens_of(camera2), phases2.phase, phases2.order_class
     extra = _second_direction(second, valid)
-    _search.search(
-        phase1, order1, base, along, near, far, lens2, phase2, order2, extra, found, state
-    )
+    over_rows(
+        _search.search, len(near), phase1, order1, base, along, near, far, lens2, phase2, order2,
+        extra, found, state, least=POINTS,
+    )  # fmt: skip
     if volume is not None:
         enter, leave = depth_interval(origin, directions, volume)
         misses = ~(enter < leave)
@@ -102,9 +104,10 @@ def match_cameras(
             for near, far in (before, behind):
                 found_there = np.empty((len(lost), 3))
                 there = np.empty(len(lost), np.int8)
-                _search.search(
-                    phase1[lost], order1[lost], base, along[lost], near, far, lens2, phase2, order2,
-                    _second_direction(None, valid), found_there, there,
+                over_rows(
+                    _search.search, len(lost), phase1[lost], order1[lost], base, along[lost],
+                    near, far, lens2, phase2, order2,
+                    _second_direction(None, valid), found_there, there, least=POINTS,
                 )  # fmt: skip
                 state[lost[there == _search.FOUND]] = OUTSIDE_VOLUME
     pixels_c1 = pixel_centres(camera1.shape)[::step, ::step]

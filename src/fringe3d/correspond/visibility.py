@@ -11,6 +11,7 @@ from fringe3d.correspond.occlusion import hidden_from
 from fringe3d.correspond.surfaces import surfaces
 from fringe3d.correspond.weighing import TWO_PI, Task
 from fringe3d.geometry import sheet_crossing
+from fringe3d.kernels import POINTS, over_rows
 from fringe3d.model import NO_ORDER, Device
 
 Bools = NDArray[np.bool_]
@@ -53,7 +54,8 @@ def takes_foreign_light(task: Task, chosen: Placed, trusted: Bools, projector: D
     sizes = np.bincount(surface)
     claimed = np.flatnonzero(claims)
     ray, light = np.empty(len(claimed)), np.empty((len(claimed), 2))
-    _light.write_light(claimed, chosen.depth_mm, task.rays_p, task.projector[:2], ray, light)
+    over_rows(_light.write_light, len(claimed), claimed, chosen.depth_mm, task.rays_p,
+              task.projector[:2], ray, light, least=POINTS)  # fmt: skip
     cell, n_cells = _cells(light, task, claims)
     owner = np.empty(n_cells, np.int64)
     _light.find_owners(cell, sizes[surface], owner)

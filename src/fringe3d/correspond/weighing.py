@@ -410,5 +410,5 @@ class Task:
     @cached_property
     def _jumps(self) -> NDArray[np.uint16]:
         jumps = np.empty((len(self.where), len(_aggregate.WAYS)), np.uint16)
-        _aggregate.write_jumps(self.phase, self.index, jumps)
+        over_rows(_aggregate.write_jumps, len(self.phase), self.phase, self.index, jumps)
         return jumps

@@ -8,7 +8,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import NDArray
 
 from fringe3d.decode._fused import CLEAR, CONTRADICTS, NAN, NONE, PHASE_BINS, TWO_PI, UNSAFE
@@ -118,19 +118,25 @@ def _mend_row(maps, meaning, nearest, any_safe, row):  # type: ignore[no-untyped
     return n_corrected
 
 
-@njit(cache=True, parallel=True)
-def mend_rows(maps, meaning, nearest, n_corrected):  # type: ignore[no-untyped-def]
+@njit(cache=True, nogil=True)
+def find_nearest(maps, nearest, blocks):  # type: ignore[no-untyped-def]
+    """Write the rows of the nearest safe pixels, see `nearest_rows`; blocks: first and last but one
+    of COLUMNS_AT_ONCE columns."""
+    for block in range(blocks[0], blocks[1]):
+        left = block * COLUMNS_AT_ONCE
+        right = min(left + COLUMNS_AT_ONCE, maps.order.shape[1])
+        nearest_rows(maps.order, maps.cells, left, right, nearest)
+
+
+@njit(cache=True, nogil=True)
+def mend_rows(maps, meaning, nearest, n_corrected, rows):  # type: ignore[no-untyped-def]
     """Decide all unsafe pixels of the maps (row, col) in place.
 
-    `n_corrected` (row,) are those with another order than their word; `nearest` (row, col) int32
-    is scratch.
+    nearest (row, col): see `find_nearest`. `n_corrected` (row,) are those with another order than
+    their word; rows: first and last but one.
     """
-    n_rows, n_cols = maps.order.shape
-    for block in prange((n_cols + COLUMNS_AT_ONCE - 1) // COLUMNS_AT_ONCE):
-        left = np.int64(block) * COLUMNS_AT_ONCE
-        nearest_rows(maps.order, maps.cells, left, min(left + COLUMNS_AT_ONCE, n_cols), nearest)
     any_safe = False
-    for col in range(n_cols):
-        any_safe |= nearest[0, col] >= 0 and nearest[0, col] < n_rows
-    for row in prange(n_rows):
-        n_corrected[row] = _mend_row(maps, meaning, nearest, any_safe, np.int64(row))
+    for col in range(maps.order.shape[1]):
+        any_safe |= nearest[0, col] >= 0 and nearest[0, col] < maps.order.shape[0]
+    for row in range(rows[0], rows[1]):
+        n_corrected[row] = _mend_row(maps, meaning, nearest, any_safe, row)

@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
 
-@njit(cache=True, parallel=True, error_model="numpy")
-def local_planes(values, radius, gate, step, smooth, sigma):  # type: ignore[no-untyped-def]
+@njit(cache=True, nogil=True, error_model="numpy")
+def local_planes(values, radius, gate, step, smooth, sigma, rows):  # type: ignore[no-untyped-def]
     """Fit a plane to the window around each pixel and take its value at the centre.
 
     values : (row, col) float32 with steps of `step`, NaN where invalid. Neighbours count while
@@ -17,7 +17,7 @@ def local_planes(values, radius, gate, step, smooth, sigma):  # type: ignore[no-
     less than `step`. Writes `smooth` and `sigma` (row, col) float32.
     """
     n_rows, n_cols = values.shape
-    for row in prange(n_rows):
+    for row in range(rows[0], rows[1]):
         for col in range(n_cols):
             center = values[row, col]
             smooth[row, col], sigma[row, col] = np.nan, np.nan

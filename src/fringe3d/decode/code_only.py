@@ -9,6 +9,7 @@ from fringe3d.decode._smooth import local_planes
 from fringe3d.decode.gray import code_words, expected_words
 from fringe3d.decode.order import all_orders
 from fringe3d.errors import MethodError
+from fringe3d.kernels import over_rows
 from fringe3d.model import NO_ORDER, ImageStack, PhaseMap, Rejection
 from fringe3d.model.plan import GraySet
 from fringe3d.model.rejection import reject
@@ -134,5 +135,6 @@ def _smooth_cells(
     values = np.where(valid, cell, np.nan).astype(np.float32)
     smooth, sigma = np.empty_like(values), np.empty_like(values)
     gate = np.float32(1 + MAX_SLOPE * WINDOW_RADIUS_PX)
-    local_planes(values, WINDOW_RADIUS_PX, gate, np.float32(1), smooth, sigma)
+    over_rows(local_planes, len(values), values, WINDOW_RADIUS_PX, gate, np.float32(1), smooth,
+              sigma)  # fmt: skip
     return (smooth.astype(np.float64) + 0.5) * cell_px, sigma * np.float32(cell_px)

@@ -221,7 +221,10 @@ def _decide_edges(maps: _fused.Maps, table: OrderTable) -> int:
         first_order=i4(table.classes.first_order),
     )
     n_corrected = np.empty(len(maps.order), np.int64)
-    _mend.mend_rows(maps, meaning, np.empty(maps.order.shape, i4), n_corrected)
+    nearest = np.empty(maps.order.shape, i4)
+    n_blocks = -(-maps.order.shape[1] // _mend.COLUMNS_AT_ONCE)
+    over_rows(_mend.find_nearest, n_blocks, maps, nearest, least=1)
+    over_rows(_mend.mend_rows, len(maps.order), maps, meaning, nearest, n_corrected)
     return int(n_corrected.sum())
 
 

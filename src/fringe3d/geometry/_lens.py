@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
 CONTINUATION_STEPS = 8
 """Steps in which the inverse walks from the image centre out to the pixel, so that it stays on
@@ -157,10 +157,10 @@ def normalize_pixel(u, v, lens, safe):  # type: ignore[no-untyped-def]
     return x, y
 
 
-@njit(cache=True, parallel=True, error_model="numpy")
-def project_all(points, lens, pixels):  # type: ignore[no-untyped-def]
+@njit(cache=True, nogil=True, error_model="numpy")
+def project_all(points, lens, pixels, rows):  # type: ignore[no-untyped-def]
     """Project (n, 3) points of the device frame; NaN behind the device."""
-    for i in prange(len(points)):
+    for i in range(rows[0], rows[1]):
         z = points[i, 2]
         if z > 0:
             x, y = project_normalized(points[i, 0] / z, points[i, 1] / z, lens)
@@ -169,10 +169,10 @@ def project_all(points, lens, pixels):  # type: ignore[no-untyped-def]
             pixels[i, 0], pixels[i, 1] = np.nan, np.nan
 
 
-@njit(cache=True, parallel=True)
-def normalize_all(pixels, lens, normalized):  # type: ignore[no-untyped-def]
+@njit(cache=True, nogil=True)
+def normalize_all(pixels, lens, normalized, rows):  # type: ignore[no-untyped-def]
     """Undistort (n, 2) pixels to normalised coordinates."""
     safe = safe_radius(lens)
-    for i in prange(len(pixels)):
+    for i in range(rows[0], rows[1]):
         x, y = normalize_pixel(pixels[i, 0], pixels[i, 1], lens, safe)
         normalized[i, 0], normalized[i, 1] = x, y

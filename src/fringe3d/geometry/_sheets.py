@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
 from fringe3d.geometry._lens import project_normalized
 
@@ -27,8 +27,8 @@ def _across(base, along, t, lens, axis):  # type: ignore[no-untyped-def]
     return axis[0] * (x + 0.5) + axis[1] * (y + 0.5)
 
 
-@njit(cache=True, parallel=True, error_model="numpy")
-def cross_all(base, rotation, directions, position, lens, axis, depths):  # type: ignore[no-untyped-def]
+@njit(cache=True, nogil=True, error_model="numpy")
+def cross_all(base, rotation, directions, position, lens, axis, depths, rows):  # type: ignore[no-untyped-def]
     """Write where rays meet light sheets, (n,) mm; NaN where they do not.
 
     base (3,): origin of the rays in the frame of the projector; rotation (3, 3): onto that frame;
@@ -36,7 +36,7 @@ def cross_all(base, rotation, directions, position, lens, axis, depths):  # type
     """
     sx, sy = axis[0] * lens[0], axis[1] * lens[1]
     beside = 0.5 * (axis[0] + axis[1]) + axis[0] * lens[2] + axis[1] * lens[3]
-    for i in prange(len(directions)):
+    for i in range(rows[0], rows[1]):
         d0, d1, d2 = directions[i, 0], directions[i, 1], directions[i, 2]
         along = (
             rotation[0, 0] * d0 + rotation[0, 1] * d1 + rotation[0, 2] * d2,

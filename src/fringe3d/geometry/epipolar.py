@@ -18,6 +18,7 @@ from fringe3d.geometry.projection import (
     rays,
     readable,
 )
+from fringe3d.kernels import POINTS, over_rows
 from fringe3d.model import Device, MeasuringVolume
 
 INTERVALS_KEPT = 4
@@ -84,7 +85,7 @@ def depth_interval(
     )
     near, far = np.empty(len(flat)), np.empty(len(flat))
     room = volume.offsets_mm - volume.normals @ origin
-    clip_all(flat, normals, room, near, far)
+    over_rows(clip_all, len(flat), flat, normals, room, near, far, least=POINTS)
     shape = directions.shape[:-1]
     return near.reshape(shape), far.reshape(shape)
 
@@ -189,11 +190,14 @@ def sheet_crossing(
     """
     to_projector = projector.device_from_world
     depths = np.empty(len(directions))
-    cross_all(
+    over_rows(
+        cross_all,
+        len(directions),
         to_projector.apply(origin), to_projector.rotation, np.ascontiguousarray(directions),
         np.broadcast_to(np.asarray(position_px, np.float64), depths.shape).copy(),
         lens_of(projector),
         np.array([np.cos(angle), np.sin(angle)]), depths,
+        least=POINTS,
     )  # fmt: skip
     return depths
 

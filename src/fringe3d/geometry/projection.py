@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fringe3d.geometry import _lens
+from fringe3d.kernels import POINTS, over_rows
 from fringe3d.model import Device
 
 CAMERAS_KEPT = 3
@@ -57,7 +58,7 @@ def project(device: Device, points_world: ArrayLike, /) -> NDArray[np.float64]:
     points = device.device_from_world.apply(points_world)
     flat = np.ascontiguousarray(points.reshape(-1, 3))
     pixels = np.empty((len(flat), 2))
-    _lens.project_all(flat, lens_of(device), pixels)
+    over_rows(_lens.project_all, len(flat), flat, lens_of(device), pixels, least=POINTS)
     return pixels.reshape(*points.shape[:-1], 2)
 
 
@@ -82,7 +83,7 @@ def normalize(device: Device, pixels: ArrayLike, /) -> NDArray[np.float64]:
     pixels = np.asarray(pixels, np.float64)
     flat = np.ascontiguousarray(pixels.reshape(-1, 2))
     normalized = np.empty_like(flat)
-    _lens.normalize_all(flat, lens_of(device), normalized)
+    over_rows(_lens.normalize_all, len(flat), flat, lens_of(device), normalized, least=POINTS)
     return normalized.reshape(pixels.shape)
 
 

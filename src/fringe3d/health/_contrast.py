@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
 f4 = np.float32
 
@@ -44,15 +44,15 @@ def _slow_part(blocks, row, block_px, line):  # type: ignore[no-untyped-def]
         line[x] = here + f4(at - left) * (there - here)
 
 
-@njit(cache=True, parallel=True, error_model="numpy")
-def fine_contrast(bright, blocks, block_px, contrast):  # type: ignore[no-untyped-def]
+@njit(cache=True, nogil=True, error_model="numpy")
+def fine_contrast(bright, blocks, block_px, contrast, rows):  # type: ignore[no-untyped-def]
     """Write the brightness, slightly smoothed, less its slow part, (row, col).
 
     bright (row, col): logarithm, NaN where the surface is not lit; blocks: the slow part at the
     centres of blocks of `block_px` pixels. NaN where not all of 7 x 7 pixels are lit.
     """
     n_rows, n_cols = bright.shape
-    for row in prange(n_rows):
+    for row in range(rows[0], rows[1]):
         contrast[row] = np.nan
         if row < REACH or row >= n_rows - REACH:
             continue

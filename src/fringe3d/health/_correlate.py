@@ -5,18 +5,18 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
 
-@njit(cache=True, parallel=True, error_model="numpy")
-def profile(values, pixels, texture, normal, shifts, least, found):  # type: ignore[no-untyped-def]
+@njit(cache=True, nogil=True, error_model="numpy")
+def profile(values, pixels, texture, normal, shifts, least, found, rows):  # type: ignore[no-untyped-def]
     """Write the correlation of values with an image at shifted places, for each shift (m,).
 
     values (n,): zero on average, about; pixels (n, 2): (x, y) in the image; texture (row, col): NaN
     where it is not known; normal (2,): direction of the shift; least: pairs needed, else 0.
     """
     n_rows, n_cols = texture.shape
-    for k in prange(len(shifts)):
+    for k in range(rows[0], rows[1]):
         n, a, b, aa, bb, ab = 0, 0.0, 0.0, 0.0, 0.0, 0.0
         for i in range(len(values)):
             x, y = pixels[i, 0] + shifts[k] * normal[0], pixels[i, 1] + shifts[k] * normal[1]

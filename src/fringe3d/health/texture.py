@@ -11,6 +11,7 @@ from scipy import ndimage
 from fringe3d.geometry import epipolar_curve, epipolar_segment
 from fringe3d.health import _contrast, _correlate
 from fringe3d.health.finding import Finding
+from fringe3d.kernels import over_rows
 from fringe3d.model import Correspondences, Device, PhaseMap
 
 TILES_PER_SIDE = 3
@@ -170,12 +171,14 @@ def _correlated(
     """Correlate a tile at shifts: a quarter of its points tells where it is worth looking."""
     part, rough = slice(None, None, ROUGH_STEP), np.empty(len(shifts))
     least = MIN_TILE_POINTS // 2
-    _correlate.profile(
-        values[part], pixels[part], texture, normal, shifts, least // ROUGH_STEP, rough
-    )
+    over_rows(
+        _correlate.profile, len(shifts), values[part], pixels[part], texture, normal, shifts,
+        least // ROUGH_STEP, rough, least=1,
+    )  # fmt: skip
     looked_at = shifts[np.argsort(-np.where(near, np.inf, rough))[: near.sum() + N_PEAKS]]
     profile = np.empty(len(looked_at))
-    _correlate.profile(values, pixels, texture, normal, looked_at, least, profile)
+    over_rows(_correlate.profile, len(looked_at), values, pixels, texture, normal, looked_at,
+              least, profile, least=1)  # fmt: skip
     peak = int(np.argmax(profile))
     here = float(profile[np.abs(looked_at) <= TEXTURE_MAX_SHIFT_PX].max())
     apart = np.abs(shifts - looked_at[peak]) > PEAK_WIDTH_PX
@@ -189,7 +192,8 @@ def _texture(phases: PhaseMap) -> NDArray[np.float32]:
     bright = np.log(np.maximum(phases.offset, np.float32(1)))
     bright[~lit] = np.nan
     contrast = np.empty_like(bright)
-    _contrast.fine_contrast(bright, _slow_part(bright), np.float32(BLOCK_PX), contrast)
+    over_rows(_contrast.fine_contrast, len(bright), bright, _slow_part(bright),
+              np.float32(BLOCK_PX), contrast)  # fmt: skip
     return contrast
 
 
