@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from fringe3d.correspond.pieces import cut_apart
+from fringe3d.correspond.pieces import CORE_PX, _core, cut_apart
 
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
@@ -36,6 +36,29 @@ def test_a_thin_bridge_is_cut(bridge: int, jump: int) -> None:
     left, right = np.unique(cut[:, :26]), np.unique(cut[:, 34:])  # the bridge may be either's
     assert len(left) == len(right) == 1
     assert left != right
+
+
+def test_a_core_is_what_all_neighbours_within_two_pixels_are_bonded_to() -> None:
+    n_rows, n_cols = 25, 31
+    bonds = np.random.default_rng(3).random((2, n_rows, n_cols)) > 0.02
+    bonds[0, -1], bonds[1, :, -1] = False, False  # there is no next one
+    wanted = np.zeros((n_rows, n_cols), bool)
+    for row in range(CORE_PX, n_rows - CORE_PX):
+        for col in range(CORE_PX, n_cols - CORE_PX):
+            top, left = row - CORE_PX, col - CORE_PX
+            bottom, right = row + CORE_PX, col + CORE_PX
+            down = bonds[0, top:bottom, left : right + 1]
+            wanted[row, col] = down.all() and bonds[1, top : bottom + 1, left:right].all()
+    assert 10 < wanted.sum() < 0.9 * wanted.size
+    np.testing.assert_array_equal(_core(bonds), wanted)
+
+
+@pytest.mark.parametrize("shape", [(1, 30), (4, 30), (30, 3)])
+def test_what_is_thin_everywhere_has_no_core(shape: tuple[int, int]) -> None:
+    higher, smooth = np.zeros((2, *shape), np.int64), np.ones((2, *shape), bool)
+    higher[:, : shape[0] // 2 + 1, : shape[1] // 2] = 1
+    cut = cut_apart(np.zeros(shape, np.int64), higher, smooth)
+    assert (cut >= 0).all()
 
 
 def test_rows_and_columns_are_alike() -> None:

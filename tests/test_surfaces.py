@@ -17,6 +17,7 @@ from closed_phases import task_of as solid_task
 from fringe3d.correspond import TwoViews, _orders, whole
 from fringe3d.correspond.choice import Candidates, Choice, Weighed
 from fringe3d.correspond.grid import index_of, rises_of
+from fringe3d.correspond.pieces import cut_apart
 from fringe3d.correspond.surfaces import no_surer_than_most
 from fringe3d.correspond.whole import made_whole
 from fringe3d.model import NO_ORDER
@@ -222,6 +223,97 @@ def test_what_something_hides_from_c2_refutes_nothing(
     monkeypatch.setattr(whole, "_hidden_from_c2", lambda *_: hidden.ravel())
     off = off_of(task, FLAT, made_whole(task, choice_of(task, FLAT, PATCH, cost)))
     assert (off[PATCH] == (0 if hides == 1.0 else 1)).all()
+
+
+HALF = PATCH & (COLS > 64)
+"""The right half of the patch: 15 px wide; the patch is 29 px wide, 19 px high, and ends where the
+image ends."""
+
+
+@pytest.mark.parametrize(
+    ("moves", "parts", "bent", "holes", "healed"),
+    [
+        pytest.param(PATCH, PATCH, None, None, [1.0], id="all of it"),
+        pytest.param(HALF, HALF, None, None, [(30 - 19) / (30 + 19)], id="tears a half off"),
+        pytest.param(PATCH, HALF, None, None, [30 / 30], id="what moves with it is no border"),
+        pytest.param(PATCH, PATCH * 1 + HALF, None, None, [1.0, 1.0], id="two that move"),
+        pytest.param(~PATCH, ~PATCH, None, None, [0.0], id="no nearer"),
+        pytest.param(PATCH, PATCH, 29, None, [48 / 77], id="an edge"),
+        pytest.param(PATCH, PATCH, None, (30, 60), [1.0], id="a hole"),
+        pytest.param(PATCH, PATCH, None, (np.s_[:], 50), [58 / 77], id="a gap along it"),
+    ],
+)
+def test_which_part_of_a_border_is_healed(
+    moves: Any, parts: Any, bent: Any, holes: Any, healed: list[float]
+) -> None:
+    """Counted by hand: 19 px to the left of the patch, 29 above and below."""
+    turns = FLAT + (0.37 * (ROWS > 39) if bent else 0.0)
+    valid = np.ones(SHAPE, bool)
+    if holes is not None:
+        valid[holes] = False
+    task = task_of(turns, valid=valid)
+    chosen = choice_of(task, turns, PATCH * 1)
+    wanted = choice_of(task, turns, PATCH * 1 - moves)
+    of = np.asarray(parts * 1 - 1)[valid]
+    found = whole._healed(task, chosen, wanted, of)
+    np.testing.assert_allclose(found, healed)
+
+
+@pytest.mark.parametrize("edge", [0.0, 0.37])
+def test_what_is_smooth_along_one_side_alone_stays(edge: float) -> None:
+    """A patch goes on smoothly to the left; above and below it is, or is not, another surface."""
+    right = (COLS > 50) & ~PATCH
+    turns = FLAT + edge * right
+    task = task_of(turns)
+    off = off_of(task, turns, made_whole(task, choice_of(task, turns, PATCH)))
+    np.testing.assert_array_equal(off, PATCH * 1 if edge else 0)
+
+
+def test_specks_without_a_phase_do_not_hold_a_patch() -> None:
+    valid = np.random.default_rng(1).random(SHAPE) > 0.05
+    task = task_of(FLAT, valid=valid)
+    off = off_of(task, FLAT, made_whole(task, choice_of(task, FLAT, PATCH)))
+    assert (off[PATCH & valid] == 0).mean() > 0.99
+
+
+def test_a_patch_that_is_hidden_as_a_whole_is_not_refuted(monkeypatch: pytest.MonkeyPatch) -> None:
+    task = task_of(FLAT)
+    task.stride = (1, 1)
+    cost = np.zeros((FLAT.size, len(LABELS)))
+    cost[PATCH.ravel(), 4] = 50.0
+    monkeypatch.setattr(whole, "_hidden_from_c2", lambda *_: PATCH.ravel())
+    off = off_of(task, FLAT, made_whole(task, choice_of(task, FLAT, PATCH, cost)))
+    assert (off == 0).all()
+
+
+@pytest.mark.parametrize("has_other", [False, True])
+def test_what_is_hidden_acquits_and_never_convicts(
+    has_other: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Six in ten pixels fit by chance what hides them: a patch goes, whatever else is refuted."""
+    task = task_of(FLAT)
+    task.stride = (1, 1)
+    other = has_other & (ROWS > 20) & (ROWS < 40) & (COLS < 20)
+    hidden = PATCH & (COLS > 61)
+    cost = np.zeros((FLAT.size, len(LABELS)))
+    cost[(other | (PATCH & ~hidden)).ravel(), 4] = 50.0
+    monkeypatch.setattr(whole, "_hidden_from_c2", lambda *_: hidden.ravel())
+    off = off_of(task, FLAT, made_whole(task, choice_of(task, FLAT, PATCH | other, cost)))
+    np.testing.assert_array_equal(off, other * 1)
+
+
+@pytest.mark.parametrize(("seam", "bridge", "level"), [(20, 1, 2), (9, 2, 2), (12, 4, 0)])
+def test_a_bond_outweighs_a_seam_that_is_not_much_longer(
+    seam: int, bridge: int, level: int
+) -> None:
+    """Two pieces of a part: by the seam they are two orders apart, by the bridge none."""
+    parts = np.zeros((40, 60), np.int64)
+    higher, smooth = np.zeros((2, 40, 60), np.int64), np.ones((2, 40, 60), bool)
+    higher[1, :seam, 29], parts[seam + bridge :] = 2, -1
+    pieces = cut_apart(parts, higher, smooth)
+    assert pieces.max() == 1
+    _, found = whole._levels(*whole._seams(pieces, parts, higher, smooth), 2)
+    assert found.tolist() == [0, level]
 
 
 def test_what_stands_before_a_table_hides_it_from_c2() -> None:

@@ -70,10 +70,9 @@ def cut_apart(parts: Ints, higher: Ints, is_smooth: Bools, /) -> Ints:
 def _core(bonds: Bools) -> Bools:
     """Tell which pixels, (row, col), all neighbours around are bonded to each other."""
     window = 2 * CORE_PX + 1
-    down = ndimage.minimum_filter(bonds[0], (window - 1, window), origin=(-1, 0), cval=False,
-                                  mode="constant")  # fmt: skip
-    right = ndimage.minimum_filter(bonds[1], (window, window - 1), origin=(0, -1), cval=False,
-                                   mode="constant")  # fmt: skip
+    # An even window reaches one further back, and a bond leads to the next pixel.
+    down = ndimage.minimum_filter(bonds[0], (window - 1, window), cval=False, mode="constant")
+    right = ndimage.minimum_filter(bonds[1], (window, window - 1), cval=False, mode="constant")
     return np.asarray(down & right)
 
 

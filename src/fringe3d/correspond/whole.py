@@ -64,7 +64,8 @@ def made_whole(task: Task, chosen: Choice, /, *, doubts: bool = True) -> Choice:
     Returns
     -------
     Choice; parts that moved have the share of the votes for their order as probability. A part
-        stays where it is if what C2 and all else show refutes the other order.
+        stays where it is if the other order does not heal its border, or what C2 and all else show
+        refutes it.
     """
     known = chosen.order != NO_ORDER
     if not known.any():
@@ -102,20 +103,24 @@ def _refuted(
 
     moved, of (n,): the pixels that should move, and the part of each. Most of its border must be
     healed. What C2 does not see of it where it would be refutes nothing: it sees what stands before
-    it.
+    it. (A coarse grid does not tell what is hidden.)
     """
     number = np.full(len(chosen.place), -1)
     number[moved] = of
     torn = _healed(task, chosen, wanted, number) < LEAST_HEALED
     worse = np.nan_to_num(_against(wanted, moved) - _against(chosen, moved), nan=0.0)
-    refuted = _typically(worse, of)
-    if task.stride == (1, 1) and (refuted & ~torn).any():
+    refuted = ~torn & _typically(worse, of)
+    if task.stride == (1, 1) and refuted.any():
         seen = ~_hidden_from_c2(task, wanted)[moved]
-        refuted = _typically(worse[seen], of[seen], n=len(refuted))
+        # What is hidden acquits; nothing that happens to another part makes this one worse.
+        refuted &= _typically(worse[seen], of[seen], n=len(refuted))
     return torn | refuted
 
 
 def _typically(worse: NDArray[np.float64], of: Ints, n: int = 0) -> Bools:
+    """Tell of which parts most pixels, and all in all, are so much worse; of (m,): their part."""
+    if not len(of):
+        return np.zeros(n, bool)
     sizes = np.bincount(of, minlength=n)
     typical = np.where(sizes > 0, ndimage.median(worse, of, np.arange(len(sizes))), 0.0)
     return np.asarray((typical > REFUTED_PIXEL) & (typical * sizes > REFUTED * PATCH_PX**2))
@@ -123,10 +128,12 @@ def _typically(worse: NDArray[np.float64], of: Ints, n: int = 0) -> Bools:
 
 def _healed(task: Task, chosen: Choice, wanted: Choice, of: Ints) -> NDArray[np.float64]:
     """Return of which part of the border of each part the wanted orders make a smooth surface, less
-    what they tear; of (n,): part of each pixel, -1 for what stays."""
+    what they tear; of (n,): part of each pixel, -1 for what stays. Where something was not measured
+    there is a border, too, unless the part is all around it."""
     known = chosen.order != NO_ORDER
-    number = np.full(task.valid.shape, -1)
-    number[task.valid] = of
+    number, is_known = np.full(task.valid.shape, -1), np.zeros(task.valid.shape, bool)
+    number[task.valid], is_known[task.valid] = of, known
+    number = _filled(number, is_known)
     former, later = (_jumps(task, which.order, known) for which in (chosen, wanted))
     gain, border = np.zeros((2, int(of.max()) + 1))
     for axis, (here, there) in enumerate(NEIGHBOURS):
@@ -139,6 +146,19 @@ def _healed(task: Task, chosen: Choice, wanted: Choice, of: Ints) -> NDArray[np.
             gain += np.bincount(end[edge], better[edge], minlength=len(gain))
             border += np.bincount(end[edge], minlength=len(gain))
     return gain / np.maximum(border, 1)
+
+
+def _filled(number: Ints, is_known: Bools) -> Ints:
+    """Give holes the number, (row, col), that is all around them; other gaps keep theirs."""
+    gaps, n = ndimage.label(~is_known, np.ones((3, 3)))
+    low, high = np.full(n + 1, np.iinfo(np.int64).max), np.full(n + 1, -1)
+    for here, there in NEIGHBOURS:
+        for one, other in ((here, there), (there, here)):
+            edge = (gaps[one] > 0) & is_known[other]
+            np.minimum.at(low, gaps[one][edge], number[other][edge])
+            np.maximum.at(high, gaps[one][edge], number[other][edge])
+    is_hole = low == high
+    return np.where(is_hole[gaps], low[gaps], number)
 
 
 def _hidden_from_c2(task: Task, chosen: Choice) -> Bools:
@@ -187,7 +207,7 @@ def _seams(
     pieces: Ints, parts: Ints, higher: Ints, is_smooth: Bools
 ) -> tuple[Ints, Ints, Ints, Ints]:
     """Return pairs of pieces with a smooth border, how many orders the second one is higher than
-    the first would continue into it, and the weight of the border, px; (n,) each."""
+    the first would continue into it, and the weight of the border, px; (n,) each, a pair once."""
     found = []
     for axis, (here, there) in enumerate(NEIGHBOURS):
         border = (pieces[here] >= 0) & (pieces[there] >= 0) & (pieces[here] != pieces[there])
@@ -204,9 +224,13 @@ def _seams(
         np.stack([pair.ravel(), jump, bond])[:, smooth == 1], axis=1, return_counts=True
     )
     long = (length >= LEAST_SEAM) & (length > SEAM_PART * in_all[kinds[0]])
-    taken = long | (kinds[2] == 1)
+    weight = length * np.where(kinds[2], BOND, 1)
+    taken = np.flatnonzero(long | (kinds[2] == 1))
+    taken = taken[np.argsort(-weight[taken], kind="stable")]
+    # Pieces of one part may have a seam and a bond between them: the heavier one holds.
+    taken = taken[np.unique(kinds[0, taken], return_index=True)[1]]
     first, second = pairs[:, kinds[0, taken]]
-    return first, second, kinds[1, taken], (length * np.where(kinds[2], BOND, 1))[taken]
+    return first, second, kinds[1, taken], weight[taken]
 
 
 def _levels(first: Ints, second: Ints, higher: Ints, length: Ints, n: int) -> tuple[Ints, Ints]:
