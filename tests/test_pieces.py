@@ -72,12 +72,30 @@ def test_rows_and_columns_are_alike() -> None:
     "case",
     [
         pytest.param({"gap": 20, "bridge": 12}, id="wide bridge"),
+        pytest.param({"gap": 20, "bridge": 5}, id="bridge as wide as a core"),
         pytest.param({"gap": 7, "bridge": 2}, id="short seam"),
         pytest.param({"gap": 20, "bridge": 2, "jump": 0}, id="no seam"),
     ],
 )
 def test_what_does_not_contradict_itself_or_is_not_thin_stays_whole(case: dict[str, int]) -> None:
     assert n_pieces(cut_apart(*halves(**case))) == 1
+
+
+def test_eight_pixels_are_a_seam_if_the_phase_is_smooth_there() -> None:
+    parts, higher, smooth = halves(gap=8, bridge=2)
+    assert n_pieces(cut_apart(parts, higher, smooth)) == 2
+    smooth[1, 0, 29] = False
+    assert n_pieces(cut_apart(parts, higher, smooth)) == 1
+
+
+def test_only_what_contradicts_itself_is_cut() -> None:
+    """Two parts, each of two halves that hang together by a bridge; one has no seam."""
+    parts, higher, smooth = halves(gap=20, bridge=2)
+    higher, smooth = np.tile(higher, (1, 1, 2)), np.tile(smooth, (1, 1, 2))
+    higher[1, :, 60:], smooth[1, :20, 89] = 0, False
+    cut = cut_apart(np.concatenate([parts, parts + 1], axis=1), higher, smooth)
+    assert n_pieces(cut[:, :60]) == 2
+    assert n_pieces(cut[:, 60:]) == 1
 
 
 def test_other_parts_and_gaps_stay_what_they_are() -> None:
