@@ -18,6 +18,8 @@ def doubt_at_borders(
 ) -> NDArray[np.float32]:
     """Return probabilities of orders, (row, col), less what they do not count on at borders.
 
+    It refuses nothing: a point at a border may carry less than the least probability asked for.
+
     Parameters
     ----------
     probability : (row, col) float, 0 to 1
