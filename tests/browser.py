@@ -16,6 +16,7 @@ from PIL import Image
 FLAGS = (
     "--no-sandbox", "--disable-quic", "--no-first-run", "--disable-background-networking",
     "--disable-component-update", "--disable-sync", "--enable-unsafe-swiftshader",
+    "--disable-gpu-watchdog",  # on a busy machine it takes a slow frame for a dead process
 )  # fmt: skip
 OTHERS_REMARKS = ("GPU stall due to ReadPixels", "THREE.Clock: This module has been deprecated")
 """What the software renderer says of being read, and three.js of viser: no faults of the page."""
