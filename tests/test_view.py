@@ -256,7 +256,7 @@ def test_a_browser_shows_results_side_by_side(stored: StoredResult) -> None:
         try:
             page, said = watched_page(chromium)
             page.goto(live.address)
-            page.get_by_text("second: m2").wait_for(timeout=60_000)
+            page.wait_for_selector(CANVAS, timeout=60_000)
             settled(page)
             live.colour_by("from the first")
             assert "mm" in live.scale.content
