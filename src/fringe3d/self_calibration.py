@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fringe3d.calibrate import (
-    FLAT_PART,
     FittedPoses,
     Homologous,
     ball_center,
@@ -38,6 +37,11 @@ Floats = NDArray[np.float64]
 
 ROUNDS = 3
 """Points on epipolar curves are searched again with the poses found."""
+
+LEAST_DEPTH_PART = 0.03
+"""By how much points must leave their common plane, over their distance, where nothing numbers the
+fringes. A plane of which a part took another order is two planes, 0.012 apart on `kolibri`; its
+objects fill 0.07."""
 
 NEAR_PX = 3.0
 """How far from a pixel of C1 the point may be that a known length begins at."""
@@ -228,7 +232,7 @@ def _require_depth(points: Sequence[Homologous], devices: Sequence[Device]) -> N
     cloud = cloud[np.isfinite(cloud).all(axis=1)]
     distance = float(np.median(np.linalg.norm(cloud - devices[0].center_world, axis=1)))
     part = depth_part(cloud, distance)
-    if part < FLAT_PART:
+    if part < LEAST_DEPTH_PART:
         raise MethodError(
             f"self-calibration: expected an object with depth, found points that leave their "
             f"common plane by {part:.1%} of their distance. The images have no code, and a plane "

@@ -27,7 +27,6 @@ from fringe3d.calibrate.point_error import form_covariance, point_covariance
 from fringe3d.calibrate.poses import FittedPoses, PoseChange, fit_poses, located
 from fringe3d.calibrate.poses_judging import check_poses
 from fringe3d.calibrate.projector import (
-    FLAT_PART,
     FittedProjector,
     depth_part,
     fit_projector,
@@ -36,7 +35,6 @@ from fringe3d.calibrate.projector import (
 
 __all__ = [
     "BOARD_LENSES",
-    "FLAT_PART",
     "LENSES",
     "SHAPES",
     "BadPose",
