@@ -31,15 +31,15 @@ def main(arguments: list[str]) -> int:
             return call("-m", "fringe3d", "demo", "--out", "demo", "--overwrite")
         case ["test", *options]:
             set_up(extras="[dev]")
-            jobs = (
+            checks = (
                 ("-m", "ruff", "check", "."),
                 ("-m", "ruff", "format", "--check", "."),
                 ("-m", "mypy"),
                 DOCS,
-                ("-m", "pytest", "--numprocesses=auto", "--dist=loadfile", *options),
             )
-            # The last one closes the output; the others stop it early.
-            return next((code for job in jobs if (code := call(*job))), 0)
+            if code := call_together(*checks):
+                return code
+            return call("-m", "pytest", "--numprocesses=auto", "--dist=loadfile", *options)
         case ["docs"]:
             set_up(extras="[dev]")
             return call(*DOCS)
@@ -75,6 +75,12 @@ def set_up(*, extras: str) -> None:
 def call(*arguments: str) -> int:
     """Run the environment's Python in the project folder; return its exit code."""
     return subprocess.run([str(PYTHON), *arguments], cwd=ROOT, check=False).returncode
+
+
+def call_together(*jobs: tuple[str, ...]) -> int:
+    """Run several jobs of the environment's Python at once; return the largest exit code."""
+    running = [subprocess.Popen([str(PYTHON), *job], cwd=ROOT) for job in jobs]
+    return max(job.wait() for job in running)
 
 
 if __name__ == "__main__":

@@ -260,7 +260,7 @@ def depth_part(points_mm: Floats, distance_mm: float, /) -> float:
     Examples
     --------
     >>> xy = np.mgrid[:10, :10].reshape(2, -1)
-    >>> depth_part(np.stack([*xy, xy[0] % 2], axis=1).astype(float), 500.0)
+    >>> round(depth_part(np.stack([*xy, xy.sum(axis=0) % 2], axis=1).astype(float), 500.0), 4)
     0.002
     """
     middle = points_mm.mean(axis=0)

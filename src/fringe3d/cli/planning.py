@@ -12,7 +12,7 @@ from cyclopts import Parameter
 
 from fringe3d.cli.console import Reporter, say
 from fringe3d.cli.parameters import Json, Overwrite, app, at_least, simulator_installed
-from fringe3d.errors import MethodError
+from fringe3d.errors import MethodError, PlanError
 
 
 @app.command
@@ -83,6 +83,11 @@ def patterns(
         raise MethodError(
             f"--angle, --direction: expected one of them, found {angle:g} and {direction}. Leave "
             "one out"
+        )
+    if not period and not ramp:
+        raise PlanError(
+            "--period requires an argument: the fringe period in projector px, as --period 16; "
+            "only a grey ramp (--ramp) does without"
         )
     if angle is not None:
         angles: tuple[float, ...] = (math.radians(angle),)
