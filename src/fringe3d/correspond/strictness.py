@@ -26,7 +26,7 @@ LACK, LACK_IN_C2, MISFIT, ALONE = 1.0, 0.5, 0.6, 0.6
 brightest neighbour in C1, and in C2; its residual's square against the limit; and the part of its
 neighbours that have no point."""
 
-MOST_DOUBT, MOST_DOUBT_STRICT = 1.5, 1.0
+MOST_DOUBT, MOST_DOUBT_STRICT = 1.5, 0.98
 """What together may speak against a pixel. Of those beyond the first more are false than right."""
 
 LEAST_MISSING = 0.01
