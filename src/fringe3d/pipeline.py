@@ -64,8 +64,6 @@ from fringe3d.triangulate import (
 
 __all__ = ["MeasureOptions", "Measurement", "measure", "point_cloud"]
 
-SATURATED = np.uint16(Rejection.SATURATED)
-
 GAP_FACTOR = 10.0
 """Neighbouring pixels belong to one surface up to ten typical distances: slopes up to 84 deg."""
 
@@ -168,8 +166,6 @@ def measure(
     stacks = [images_of(choice, stack, scan.rig, volume, options) for stack in stacks]
 
     with clock("decoding"):
-        if options.own_response:
-            stacks = [stack.with_response(response_from_fringes(stack)) for stack in stacks]
         stacks, phases = _decoded(stacks, scan.rig, choice.method, options)
         findings = check_files(stacks) + check_phases(phases)
         phases = _filtered(phases, options)
@@ -187,8 +183,7 @@ def measure(
     if scan.rig is None:
         return _finish(result, clock)
 
-    if previous_mm is not None:
-        _require_previous(previous_mm, main, choice.method)
+    _require_previous(previous_mm, main, choice.method)
     camera, other = _devices(scan.rig, stacks, choice.method)
     rig, projector = _with_own_bias(scan.rig, camera, other), scan.rig.projector
     with clock("finding correspondences"):
@@ -211,9 +206,8 @@ def measure(
         points = _clean(points, options, main)
         if main.is_quantised:
             points = remove_repeated(points, matches)
-    result = replace(
-        result, matches=matches, points=points, bias=matched.bias, findings=tuple(findings)
-    )
+    result = replace(result, matches=matches, points=points, bias=matched.bias,
+                     findings=tuple(findings))  # fmt: skip
     return _finish(result, clock)
 
 
@@ -221,15 +215,17 @@ def _decoded(
     stacks: list[ImageStack], rig: Rig | None, method: str, options: MeasureOptions
 ) -> tuple[list[ImageStack], tuple[CameraPhases, ...]]:
     """Decode all cameras, and once more without saturated steps those that have some."""
-    phases = []
-    for number, stack in enumerate(stacks):
+    used, phases = [], []
+    for given in stacks:
+        own = options.own_response
+        stack = given.with_response(response_from_fringes(given)) if own else given
         found = _decode(stack, rig, method, options)
-        if any((w.rejection & SATURATED).any() for d in found.directions for w in d.wrapped):
-            stacks[number] = without_saturated(stack)
-            if stacks[number] is not stack:
-                found = _decode(stacks[number], rig, method, options)
-        phases.append(found)
-    return stacks, tuple(phases)
+        maps = [w.rejection for direction in found.directions for w in direction.wrapped]
+        is_saturated = any((m & np.uint16(Rejection.SATURATED)).any() for m in maps)
+        rest = without_saturated(stack) if is_saturated else stack
+        used.append(rest)
+        phases.append(found if rest is stack else _decode(rest, rig, method, options))
+    return used, tuple(phases)
 
 
 def _filtered(
@@ -298,8 +294,10 @@ def _devices(rig: Rig, stacks: Sequence[ImageStack], method: str) -> tuple[Devic
     return camera, cameras[stacks[1].device_name]
 
 
-def _require_previous(previous_mm: NDArray[np.float64], main: PhaseMap, method: str) -> None:
-    """Raise MethodError if the frame before is of no use."""
+def _require_previous(previous_mm: NDArray[np.float64] | None, main: PhaseMap, method: str) -> None:
+    """Raise MethodError if there is a frame before, but of no use."""
+    if previous_mm is None:
+        return
     if previous_mm.shape != (*main.phase.shape, 3):
         raise MethodError(
             f"previous_mm: expected points on the pixels of C1, (row, col, 3) = "

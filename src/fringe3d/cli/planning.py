@@ -79,20 +79,12 @@ def patterns(
     from fringe3d.report.patterns import write_patterns
 
     width, height = parse_size(size, "--size")
-    if angle is not None and direction is not None:
-        raise MethodError(
-            f"--angle, --direction: expected one of them, found {angle:g} and {direction}. Leave "
-            "one out"
-        )
+    angles = _angles(angle, direction)
     if not period and not ramp:
         raise PlanError(
             "--period requires an argument: the fringe period in projector px, as --period 16; "
             "only a grey ramp (--ramp) does without"
         )
-    if angle is not None:
-        angles: tuple[float, ...] = (math.radians(angle),)
-    else:
-        angles = tuple({"x": 0.0, "y": math.pi / 2}[name] for name in direction or "x")
     try:
         plan = (
             PatternPlan(patterns=grey_ramp(ramp), projector_shape=(height, width))
@@ -118,6 +110,18 @@ def patterns(
     say(f"{plan.n_images} images of {width} x {height} px, {bits} bit -> {out}")
     for note in notes:
         say(f"note: {note}")
+
+
+def _angles(angle: float | None, direction: str | None) -> tuple[float, ...]:
+    """Return the fringe angles that the options ask for, rad; vertical fringes by default."""
+    if angle is not None and direction is not None:
+        raise MethodError(
+            f"--angle, --direction: expected one of them, found {angle:g} and {direction}. Leave "
+            "one out"
+        )
+    if angle is not None:
+        return (math.radians(angle),)
+    return tuple({"x": 0.0, "y": math.pi / 2}[name] for name in direction or "x")
 
 
 @app.command

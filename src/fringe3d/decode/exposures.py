@@ -128,7 +128,7 @@ def without_saturated(stack: ImageStack, /) -> ImageStack:
     stack is returned as it is.
     """
     sets = [f for f in stack.plan.fringe_sets if len(f.shifts) > LEAST_STEPS_LEFT]
-    if stack.response is not None or not any(_is_saturated(stack, f) for f in sets):
+    if stack.response is not None or not sets:
         return stack
     images, growth = stack.images.astype(np.uint16), np.ones(stack.shape, np.float32)
     steps = [i for f in stack.plan.fringe_sets for i in f.indices]
@@ -140,10 +140,6 @@ def without_saturated(stack: ImageStack, /) -> ImageStack:
         return stack
     return replace(stack, images=images, saturation_dn=float(TOP), sigma_growth=growth,
                    full_range_dn=stack.range_dn)  # fmt: skip
-
-
-def _is_saturated(stack: ImageStack, fringe_set: FringeSet) -> bool:
-    return any(bool((stack.images[i] >= stack.saturation_dn).any()) for i in fringe_set.indices)
 
 
 def _fill_in(
