@@ -10,11 +10,16 @@ import numba
 import pytest
 
 from closed_form import Recording, SphereScene, demo_rig, record_scene
+from fringe3d import kernels
 from fringe3d.model import Rig
 
 SEED = 20261122
 
 os.environ["FRINGE3D_CACHE"] = "off"  # tests leave nothing in the user's folders
+
+# Said once in a process, of whichever test compiles first: test_kernels tests it in its own.
+kernels._KNOWN.add("fringe3d")
+kernels._LISTENING.discard("fringe3d")
 
 
 @pytest.fixture(scope="module")
