@@ -17,6 +17,7 @@ import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from fringe3d.cli import main
 from fringe3d.errors import MethodError
@@ -384,6 +385,34 @@ def test_a_turntable_gives_a_scan_for_each_position_and_tilt(
             np.testing.assert_allclose(turn, expected, atol=1e-12)
     lean = np.degrees(np.arccos(poses[3][2, 2]))
     assert lean == pytest.approx(20.0)
+
+
+@pytest.mark.usefixtures("without_pictures")
+def test_a_leaning_axis_moves_the_object_by_its_turns_alone(tmp_path: Path) -> None:
+    """The true poses are turns about the true axis by the angles of scan.toml, and their errors."""
+    more = ("--positions", "3", "--plan", "m3", "--axis-off", "4mm:3deg")
+    for name, error in (("exact", "0"), ("rough", "0.5")):
+        simulate(tmp_path / name, *TINY, *more, "--angle-error", error)
+    turned: dict[str, list[float]] = {"exact": [], "rough": []}
+    for name, angles in turned.items():
+        truths = [truth_of(tmp_path / name / f"{number:03d}") for number in range(3)]
+        axis, point = truths[0]["table_direction"], truths[0]["table_point_mm"]
+        assert np.degrees(np.arccos(axis[2])) == pytest.approx(3.0)
+        assert 3.9 < np.linalg.norm(point) <= 4.0
+        for number, truth in enumerate(truths):
+            motion = truth["world_from_object"] @ np.linalg.inv(truths[0]["world_from_object"])
+            spun = Rotation.from_matrix(motion[:3, :3]).as_rotvec()
+            if number:
+                np.testing.assert_allclose(np.cross(spun, axis), 0, atol=1e-9)
+                on_axis = motion @ [*(point + 7 * axis), 1]  # stays where it was
+                np.testing.assert_allclose(on_axis[:3], point + 7 * axis, atol=1e-9)
+            table = read_scan(tmp_path / name / f"{number:03d}").table
+            assert table is not None
+            assert table.angle == pytest.approx(2 * np.pi * number / 3)
+            assert table.tilt == 0
+            angles.append(float((np.degrees(spun @ axis) - 120 * number + 180) % 360 - 180))
+    np.testing.assert_allclose(turned["exact"], 0, atol=1e-6)
+    assert 0.01 < np.abs(turned["rough"]).max() < 3
 
 
 @pytest.mark.usefixtures("without_pictures")

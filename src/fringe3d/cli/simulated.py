@@ -34,6 +34,8 @@ def simulate(
     bend: Annotated[float, Parameter(validator=at_least(0))] = 0.0,
     print_error: Annotated[float, Parameter(validator=at_least(0))] = 0.0,
     knock: Annotated[list[str] | None, Parameter(negative=())] = None,
+    axis_off: str = "0mm:0deg",
+    angle_error: Annotated[float, Parameter(validator=at_least(0))] = 0.0,
     overwrite: Overwrite = False,
 ) -> None:
     """Record a scan without hardware, with exact truth.
@@ -83,6 +85,11 @@ def simulate(
     knock
         Device that moved since the calibration, as c2:0.05deg:0.1mm: rig.toml is the former rig,
         true-rig.toml the one that recorded. Repeat it for several.
+    axis_off
+        How far the table's axis lies beside the world's z axis and leans, as 5mm:2deg, in random
+        directions. Nominal angles are in scan.toml, poses and axis in truth.npz.
+    angle_error
+        Standard deviation of the table's angles from the nominal ones, degrees.
     """
     from fringe3d.io.importing import parse_size
 
@@ -108,6 +115,8 @@ def simulate(
         bend_mm=bend,
         print_error_mm=print_error,
         knocks=tuple(knock or ()),
+        axis_off=axis_off,
+        angle_error_deg=angle_error,
         overwrite=overwrite,
     )
     with Reporter(quiet=False).running() as reporter:

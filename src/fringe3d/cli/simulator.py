@@ -27,7 +27,7 @@ from fringe3d.io.rigfile import rig_text
 from fringe3d.io.scanfile import read_plan
 from fringe3d.io.scanfolder import write_scan
 from fringe3d.io.simulation import read_settings, settings_text, write_truth
-from fringe3d.model import NO_ORDER, PatternPlan, Rig
+from fringe3d.model import NO_ORDER, PatternPlan, Rig, TableAxis, TablePosition
 from fringe3d.patterns import across, method_plan
 from fringe3d.report.simulation import draw_scene
 from fringe3d.simulate import (
@@ -46,6 +46,8 @@ from fringe3d.simulate import (
     knocked,
     record,
     record_exposures,
+    table_axis,
+    table_positions,
     turntable,
 )
 from fringe3d.simulate.objects import MESH_SUFFIXES
@@ -58,7 +60,7 @@ KINDS = {
 }
 
 HEAD = ("preset", "object", "plan", "seed", "position", "steps", "period_px", "camera_size",
-        "background", "rays", "knock")  # fmt: skip
+        "background", "rays", "knock", "axis_off", "angle_error_deg")  # fmt: skip
 """Keys of a ``simulation.toml`` that repeat the command line; as settings they are not read."""
 
 BOARD_HEAD = ("bend_mm", "print_error_mm")
@@ -86,6 +88,13 @@ class SimulateOptions:
     bend_mm: float = 0.0
     print_error_mm: float = 0.0
     knocks: tuple[str, ...] = ()
+    axis_off: str = "0mm:0deg"
+    angle_error_deg: float = 0.0
+
+    @property
+    def is_turned(self) -> bool:
+        """Tell whether the object stands on a rotary table."""
+        return self.positions > 1 and not is_board(self.thing)
 
 
 def run_simulation(options: SimulateOptions, reporter: Reporter, /) -> str:
@@ -184,7 +193,34 @@ def _turned(options: SimulateOptions, preset: Preset, surface: Surface) -> list[
     """Return the object on its table, in all positions."""
     scene = preset.scene(_thing(options), surface, background=options.background,
                          scaled=options.thing in OBJECTS)  # fmt: skip
-    return list(turntable(scene, n_positions=options.positions, tilts_deg=options.tilts_deg))
+    axis = _axis(options)
+    return list(turntable(scene, n_positions=options.positions, tilts_deg=options.tilts_deg,
+                          axis=axis, angle_error_deg=options.angle_error_deg,
+                          seed=options.seed))  # fmt: skip
+
+
+def _axis(options: SimulateOptions) -> TableAxis:
+    off_mm, lean_deg = parse_axis_off(options.axis_off)
+    return table_axis(off_mm=off_mm, lean_deg=lean_deg, seed=options.seed)
+
+
+def parse_axis_off(text: str, /) -> tuple[float, float]:
+    """Return mm and degrees of ``--axis-off``.
+
+    Examples
+    --------
+    >>> parse_axis_off("5mm:2deg")
+    (5.0, 2.0)
+    """
+    form = re.fullmatch(r"([\d.]+)mm:([\d.]+)deg", text)
+    try:
+        if form is None:
+            raise ValueError
+        return float(form[1]), float(form[2])
+    except ValueError:
+        raise MethodError(
+            f"--axis-off: expected mm and degrees, as 5mm:2deg, found '{text}'"
+        ) from None
 
 
 def _preset(options: SimulateOptions) -> Preset:
@@ -267,7 +303,8 @@ def _write(
     else:
         scan, series = record(stage, plan, seed=options.seed, position=number,
                               title=_title(options), progress=reporter.step), []  # fmt: skip
-    write_scan(folder, replace(scan, rig=rig), series=series, exposures=exposures)
+    scan = replace(scan, rig=rig, table=_position(options, number))
+    write_scan(folder, scan, series=series, exposures=exposures)
     _write_true_rig(folder, stage.rig, options)
     n_dropped = len(set(stage.setup.recording.dropped))
     for place in range(plan.n_images - n_dropped, plan.n_images):
@@ -277,6 +314,9 @@ def _write(
     maps["world_from_object"] = np.eye(4)
     maps["world_from_object"][:3, :3] = stage.scene.world_from_object.rotation
     maps["world_from_object"][:3, 3] = stage.scene.world_from_object.translation
+    if options.is_turned:
+        axis = _axis(options)
+        maps |= {"table_point_mm": axis.point_mm, "table_direction": axis.direction}
     write_truth(folder / "truth.npz", maps)
     head = {
         "preset": options.preset, "object": options.thing, "plan": options.plan,
@@ -289,8 +329,17 @@ def _write(
         head["period_px"] = options.period_px
     if options.knocks:
         head["knock"] = list(options.knocks)
+    if options.is_turned:
+        head |= {"axis_off": options.axis_off, "angle_error_deg": options.angle_error_deg}
     (folder / "simulation.toml").write_text(settings_text(head, settings), encoding="utf-8")
     draw_scene(folder / "overview.png", stage, plan, title=_title(options))
+
+
+def _position(options: SimulateOptions, number: int) -> TablePosition | None:
+    """Return what the table's controller says; None where there is no table."""
+    if not options.is_turned:
+        return None
+    return table_positions(options.positions, options.tilts_deg)[number]
 
 
 def truth_maps(truths: Sequence[Truth], plan: PatternPlan) -> dict[str, NDArray[Any]]:

@@ -86,7 +86,8 @@ def read_scan(
     if response is not None:
         known = read_responses(response)
         stacks = [s.with_response(response_for(response, known, s.device_name)) for s in stacks]
-    scan = Scan(stacks=tuple(stacks), rig=the_rig, title=table.title)
+    position = table.table.position() if table.table else None
+    scan = Scan(stacks=tuple(stacks), rig=the_rig, title=table.title, table=position)
     _require_fit(scan, rig_file)
     return scan
 

@@ -23,7 +23,15 @@ from fringe3d.io.sequencefile import (
     UnusedTable,
 )
 from fringe3d.io.toml import StrictModel, read_toml
-from fringe3d.model import Fringe, GrayBit, NoiseModel, Pattern, PatternPlan, Uniform
+from fringe3d.model import (
+    Fringe,
+    GrayBit,
+    NoiseModel,
+    Pattern,
+    PatternPlan,
+    TablePosition,
+    Uniform,
+)
 
 FORMAT: Literal["fringe3d-scan/1"] = "fringe3d-scan/1"
 
@@ -76,6 +84,18 @@ class NoiseTable(StrictModel):
         return NoiseModel(read_noise_dn=self.read_noise_dn, gain_dn_per_e=self.gain_dn_per_e)
 
 
+class PositionTable(StrictModel):
+    """Where a rotary table stood."""
+
+    angle_deg: float | None = None
+    tilt_deg: float = 0.0
+
+    def position(self) -> TablePosition:
+        """Return the position, in rad."""
+        angle = None if self.angle_deg is None else math.radians(self.angle_deg)
+        return TablePosition(angle=angle, tilt=math.radians(self.tilt_deg))
+
+
 class PlanTable(StrictModel):
     """``plan.toml``: the sequence alone."""
 
@@ -107,6 +127,7 @@ class ScanTable(PlanTable):
     extra_images: Literal["error", "ignore"] = "error"
     image_indices: list[int] | None = None
     noise: NoiseTable | None = None
+    table: PositionTable | None = None
     cameras: Annotated[list[CameraTable], Field(min_length=1)]
 
     @property

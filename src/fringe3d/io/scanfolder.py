@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from itertools import chain
 from pathlib import Path
@@ -12,11 +13,15 @@ from fringe3d.io.scanfile import (
     FORMAT,
     CameraTable,
     NoiseTable,
+    PositionTable,
     ScanTable,
     sequence_tables,
     toml_text,
 )
-from fringe3d.model import Scan
+from fringe3d.model import Scan, TablePosition
+
+DEGREE_DIGITS = 9
+"""Of angles in files: 2e-11 rad."""
 
 
 def write_scan(
@@ -43,6 +48,7 @@ def write_scan(
         )
         if first.noise
         else None,
+        table=_position(scan.table),
         exposures=list(exposures) or None,
         cameras=[
             CameraTable(name=stack.device_name, images=f"{stack.device_name}/{{index:03d}}.png")
@@ -59,3 +65,10 @@ def write_scan(
         place.mkdir(exist_ok=True)
         for index, image in enumerate(chain.from_iterable(stack.images for stack in stacks)):
             write_png(place / f"{index:03d}.png", image)
+
+
+def _position(table: TablePosition | None) -> PositionTable | None:
+    if table is None:
+        return None
+    angle = None if table.angle is None else round(math.degrees(table.angle), DEGREE_DIGITS)
+    return PositionTable(angle_deg=angle, tilt_deg=round(math.degrees(table.tilt), DEGREE_DIGITS))

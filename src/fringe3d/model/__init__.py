@@ -14,6 +14,7 @@ from fringe3d.model.response import Response, Ripple
 from fringe3d.model.rig import Rig
 from fringe3d.model.scan import Scan
 from fringe3d.model.stack import Fused, ImageStack, NoiseModel
+from fringe3d.model.table import TableAxis, TablePosition
 from fringe3d.model.volume import MeasuringVolume
 
 __all__ = [
@@ -40,6 +41,8 @@ __all__ = [
     "RigidTransform",
     "Ripple",
     "Scan",
+    "TableAxis",
+    "TablePosition",
     "Uniform",
     "Unused",
     "WrappedPhaseMap",

@@ -8,6 +8,7 @@ from fringe3d.model.html import table
 from fringe3d.model.plan import PatternPlan
 from fringe3d.model.rig import Rig
 from fringe3d.model.stack import ImageStack
+from fringe3d.model.table import TablePosition
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -19,11 +20,13 @@ class Scan:
     stacks : tuple of ImageStack, one for each camera; the first is C1
     rig : Rig or None; without a rig there are phases but no points
     title : str
+    table : TablePosition or None; where the rotary table stood
     """
 
     stacks: tuple[ImageStack, ...]
     rig: Rig | None = None
     title: str = ""
+    table: TablePosition | None = None
 
     def _repr_html_(self) -> str:
         parts: list[Rig | ImageStack | PatternPlan] = [*self.stacks, self.stacks[0].plan]

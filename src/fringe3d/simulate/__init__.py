@@ -12,10 +12,10 @@ from fringe3d.simulate.render import (
     prepare,
     record,
     record_exposures,
-    turntable,
 )
 from fringe3d.simulate.scene import Scene
 from fringe3d.simulate.truth import Truth
+from fringe3d.simulate.turntable import table_axis, table_positions, turntable
 
 __all__ = [
     "OBJECTS",
@@ -36,5 +36,7 @@ __all__ = [
     "record",
     "record_exposures",
     "simulate",
+    "table_axis",
+    "table_positions",
     "turntable",
 ]

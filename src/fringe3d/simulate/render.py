@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -324,30 +324,3 @@ def _stack(
         black_level_dn=optics.black_level_dn,
         noise=optics.noise if optics.gamma == 1 else None,
     )
-
-
-def turntable(
-    scene: Scene, /, *, n_positions: int, tilts_deg: tuple[float, ...] = (0.0,)
-) -> Iterator[Scene]:
-    """Yield the scene with its object turned about the world's z axis, for each tilt.
-
-    Parameters
-    ----------
-    scene : Scene
-    n_positions : int, >= 1; equal steps of the table
-    tilts_deg : float, deg; the object leans about the x direction, through the z axis at half
-        its height, before it turns
-    """
-    vertices = scene.thing.vertices_mm
-    middle = scene.world_from_object.apply((vertices.min(axis=0) + vertices.max(axis=0)) / 2)
-    for tilt in tilts_deg:
-        for position in range(n_positions):
-            turn = 2 * math.pi * position / n_positions
-            rotation = (
-                Rotation.from_euler("z", turn) * Rotation.from_euler("x", math.radians(tilt))
-            ).as_matrix()
-            about = RigidTransform(
-                rotation=rotation,
-                translation=middle * [0, 0, 1] - rotation @ (middle * [0, 0, 1]),
-            )
-            yield scene.placed(about @ scene.world_from_object)
