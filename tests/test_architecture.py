@@ -86,6 +86,10 @@ ALLOWED: dict[str, set[str]] = {
     },
     # What scans of a board show: it decodes them and hands the corners' light to the calibration.
     "board_scans": NOUNS | {"calibrate", "decode"},
+    # Hardware, or the simulator in its place.
+    "devices": NOUNS | {"io", "patterns", "simulate"},
+    # It judges frames as health does, and knows from the rig which way fringes must move.
+    "acquire": NOUNS | {"devices", "geometry", "health", "patterns"},
     "report": NOUNS
     | {
         "calibrate",
@@ -107,7 +111,9 @@ ALLOWED: dict[str, set[str]] = {
     "plot": NOUNS | {"io", "options", "patterns", "pipeline", "report", "view"},
     "cli": NOUNS
     | {
+        "acquire",
         "decode",
+        "devices",
         "correspond",
         "board_scans",
         "calibrate",

@@ -41,3 +41,15 @@ class OutputError(Fringe3DError):
 
 class AccuracyWarning(UserWarning):
     """A result that can be used but is less good than it should be."""
+
+
+class DeviceError(Fringe3DError):
+    """A camera, projector or table does not do what it was asked for."""
+
+
+class FrameTimeoutError(DeviceError):
+    """A frame did not arrive in time."""
+
+
+class DeviceLostError(DeviceError):
+    """A device does not answer any more."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 import math
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -65,6 +65,9 @@ HEAD = ("preset", "object", "plan", "seed", "position", "steps", "period_px", "c
 
 BOARD_HEAD = ("bend_mm", "print_error_mm")
 """More of them, of a board."""
+
+
+Stages = Callable[[int], Stage]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -134,6 +137,19 @@ def run_simulation(options: SimulateOptions, reporter: Reporter, /) -> str:
         f"{scans} of {plan.n_images} images, {len(preset.rig.cameras)} camera(s) {width} x "
         f"{height} px, with truth -> {options.out}"
     )
+
+
+def stages_of(options: SimulateOptions, reporter: Reporter, /) -> tuple[Preset, Stages]:
+    """Return the rig, and a function that prepares the scene at a position of the table."""
+    preset, settings = _preset(options), _settings(options)
+    setup = Setup(camera=settings["camera"], projector=settings["projector"],
+                  recording=settings["recording"], n_rays=options.n_rays)  # fmt: skip
+    scenes = _turned(options, preset, settings["surface"])
+
+    def stage(position: int) -> Stage:
+        return prepare_cached(preset.rig, scenes[position], setup, progress=reporter.step)
+
+    return preset, stage
 
 
 def _knocked(rig: Rig, options: SimulateOptions) -> Rig:

@@ -25,11 +25,18 @@ DEGREE_DIGITS = 9
 
 
 def write_scan(
-    folder: Path, scan: Scan, /, *, series: Sequence[Scan] = (), exposures: Sequence[float] = ()
+    folder: Path,
+    scan: Scan,
+    /,
+    *,
+    series: Sequence[Scan] = (),
+    exposures: Sequence[float] = (),
+    exposure_ms: float | None = None,
 ) -> None:
     """Write ``scan.toml``, ``rig.toml`` and the images of every camera into a folder.
 
-    `series` are the same with other exposures; `exposures` tells the amount of light of all.
+    `series` are the same with other exposures; `exposures` tells the amount of light of all,
+    `exposure_ms` the time of one, where it is known and the same for all cameras.
     """
     first = scan.stacks[0]
     bits = 8 * first.images.dtype.itemsize
@@ -49,6 +56,7 @@ def write_scan(
         if first.noise
         else None,
         table=_position(scan.table),
+        exposure_ms=exposure_ms,
         exposures=list(exposures) or None,
         cameras=[
             CameraTable(name=stack.device_name, images=f"{stack.device_name}/{{index:03d}}.png")

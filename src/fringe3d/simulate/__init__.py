@@ -9,11 +9,13 @@ from fringe3d.simulate.quick import simulate
 from fringe3d.simulate.render import (
     Setup,
     Stage,
+    hot_of,
     prepare,
     record,
     record_exposures,
 )
 from fringe3d.simulate.scene import Scene
+from fringe3d.simulate.shown import Shown, see, show
 from fringe3d.simulate.truth import Truth
 from fringe3d.simulate.turntable import table_axis, table_positions, turntable
 
@@ -27,14 +29,18 @@ __all__ = [
     "Recording",
     "Scene",
     "Setup",
+    "Shown",
     "Stage",
     "Surface",
     "Truth",
     "from_file",
+    "hot_of",
     "knocked",
     "prepare",
     "record",
     "record_exposures",
+    "see",
+    "show",
     "simulate",
     "table_axis",
     "table_positions",

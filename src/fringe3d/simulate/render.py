@@ -43,6 +43,9 @@ modulation of fringes of 8 px over a range of 23 px**2)."""
 
 Progress = Callable[[str, int, int], None]
 
+Levels = tuple[NDArray[np.float32], float, float]
+"""Projected light for increasing blur: images, first variance and step, px**2."""
+
 
 def _silent(_work: str, _done: int, _total: int) -> None:
     pass
@@ -158,24 +161,19 @@ def record(
         If dropped or repeated images are not in the plan.
     """
     shown = _shown(plan.n_images, stage.setup.recording)
-    shake = np.random.default_rng([seed, 0, position])
-    lamp = 1 + stage.setup.projector.flicker * shake.standard_normal(len(shown))
-    shifts = stage.setup.projector.vibration_px * shake.standard_normal((len(shown), 2))
+    lamp, shifts = unsteady(stage, len(shown), seed, position)
     images = [
         np.zeros((plan.n_images, *camera.shape), _dtype(stage)) for camera in stage.rig.cameras
     ]
-    hot = [
-        hot_pixels(camera.shape, stage.setup.camera, np.random.default_rng([seed, 1, number]))
-        for number, camera in enumerate(stage.rig.cameras)
-    ]
+    hot = [hot_of(stage, number, seed=seed) for number in range(len(stage.rig.cameras))]
     black, levels = None, (np.empty((0, 0, 0), np.float32), 0.0, 1.0)
     for place, (moment, index) in enumerate(shown):
-        now = _moved(stage, moment, plan.n_images)
+        now = moved(stage, moment, plan.n_images)
         if plan.patterns[index] is not black or now is not stage:
             black = plan.patterns[index]
             levels = _projected(black, now)
         for number, camera in enumerate(now.rig.cameras):
-            light = _light(now, number, levels, float(lamp[place]), shifts[place])
+            light = light_on(now, number, levels, float(lamp[place]), shifts[place])
             rng = np.random.default_rng([seed, 2, position, number, place])
             images[number][place] = expose(
                 light.reshape(camera.shape), now.setup.camera, rng, hot[number]
@@ -186,6 +184,21 @@ def record(
         for stack, camera in zip(images, stage.rig.cameras, strict=True)
     ]
     return Scan(stacks=tuple(stacks), rig=stage.rig, title=title)
+
+
+def hot_of(stage: Stage, number: int, /, *, seed: int) -> NDArray[np.float32]:
+    """Return the offsets of a camera's hot pixels; those of `record` with the same seed."""
+    rng = np.random.default_rng([seed, 1, number])
+    return hot_pixels(stage.rig.cameras[number].shape, stage.setup.camera, rng)
+
+
+def unsteady(
+    stage: Stage, n_images: int, seed: int, position: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the lamp's brightness (n_images,) and the projector's shifts (n_images, 2), px."""
+    shake = np.random.default_rng([seed, 0, position])
+    lamp = 1 + stage.setup.projector.flicker * shake.standard_normal(n_images)
+    return lamp, stage.setup.projector.vibration_px * shake.standard_normal((n_images, 2))
 
 
 def record_exposures(
@@ -246,7 +259,7 @@ def _shown(n_images: int, recording: Recording) -> list[tuple[int, int]]:
     return [both for both in enumerate(shown) if both[0] not in recording.dropped]
 
 
-def _moved(stage: Stage, place: int, n_images: int) -> Stage:
+def moved(stage: Stage, place: int, n_images: int) -> Stage:
     """Return the stage at the time of an image; the truth holds in the middle of the sequence."""
     recording = stage.setup.recording
     if not recording.moves:
@@ -262,16 +275,19 @@ def _moved(stage: Stage, place: int, n_images: int) -> Stage:
     return replace(stage, scene=scene, paths=paths)
 
 
-Levels = tuple[NDArray[np.float32], float, float]
-
-
 def _projected(pattern: Pattern, stage: Stage) -> Levels:
     """Return the projected light for increasing blur: images, first variance and step, px**2."""
-    projector, light = stage.rig.projector, stage.setup.projector
+    projector = stage.rig.projector
     assert projector is not None
-    shown = pattern_image(pattern, projector.shape).astype(np.float32) / 255
-    emitted = light.dark + (1 - light.dark) * shown ** np.float32(light.gamma)
-    fine = emitted.repeat(OVERSAMPLING, axis=0).repeat(OVERSAMPLING, axis=1)
+    return emitted(pattern_image(pattern, projector.shape), stage)
+
+
+def emitted(image: NDArray[np.unsignedinteger[Any]], stage: Stage) -> Levels:
+    """Return the projected light of an image of the projector."""
+    light = stage.setup.projector
+    shown = image.astype(np.float32) / np.iinfo(image.dtype).max
+    bright = light.dark + (1 - light.dark) * shown ** np.float32(light.gamma)
+    fine = bright.repeat(OVERSAMPLING, axis=0).repeat(OVERSAMPLING, axis=1)
     first, step, n_levels = _blur_levels(stage)
     levels = np.empty((n_levels, *fine.shape), np.float32)
     for level in range(n_levels):
@@ -292,7 +308,7 @@ def _blur_levels(stage: Stage) -> tuple[float, float, int]:
     return low, max((high - low) / (n_levels - 1), 1e-6), n_levels
 
 
-def _light(
+def light_on(
     stage: Stage, number: int, levels: Levels, lamp: float, shift: NDArray[np.float64]
 ) -> NDArray[np.float32]:
     """Return the light on the sensor, (n_pixels,), 1 for white paper."""
