@@ -31,6 +31,8 @@ ALLOWED: dict[str, set[str]] = {
     # A sketch says where devices look; several exposures become one stack as they are read.
     "io": NOUNS | {"decode", "geometry", "patterns", "__init__"},
     "design": NOUNS | {"geometry", "patterns"},
+    # It knows points on the grid of a camera, neither phases nor how they were measured.
+    "register": NOUNS | {"geometry", "kernels"},
     # It judges any cloud, a rival's too: it knows neither rigs nor phases.
     "evaluate": {"errors"},
     # What the user wants, and which method that allows: the design's counts say it beforehand.
@@ -147,7 +149,9 @@ EDGE_LIBRARIES = {
     "markdown_it": {"report"},
     "rich": {"cli"},
     "cyclopts": {"cli"},
-    "numba": {"kernels", "geometry", "decode", "correspond", "health", "simulate"},
+    "numba": {"kernels", "geometry", "decode", "correspond", "health", "register", "simulate"},
+    "open3d": {"register"},
+    "pye57": {"io"},
 }
 
 FILES = sorted(SOURCE.rglob("*.py"))

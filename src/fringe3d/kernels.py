@@ -87,6 +87,13 @@ def _code_in(folder: Path) -> Iterator[Path]:
     yield from folder.glob("*.nb[ci]")
 
 
+def n_threads() -> int:
+    """Return how many threads compiled functions, and other libraries, may use."""
+    from numba import get_num_threads
+
+    return int(get_num_threads())
+
+
 def over_rows(
     kernel: Callable[..., object], n_rows: int, /, *args: object, least: int = LEAST_ROWS
 ) -> None:

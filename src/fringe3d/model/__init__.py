@@ -6,6 +6,7 @@ from fringe3d.model.cloud import PointCloud, PointMap
 from fringe3d.model.correspondences import Correspondences
 from fringe3d.model.covariance import RigCovariance
 from fringe3d.model.device import Device
+from fringe3d.model.merged import FATES, Fate, MergedCloud, SurfaceMesh
 from fringe3d.model.phasemap import NO_ORDER, PhaseMap, WrappedPhaseMap
 from fringe3d.model.plan import Fringe, GrayBit, Pattern, PatternPlan, Uniform, Unused
 from fringe3d.model.pose import RigidTransform
@@ -15,25 +16,32 @@ from fringe3d.model.rig import Rig
 from fringe3d.model.scan import Scan
 from fringe3d.model.stack import Fused, ImageStack, NoiseModel
 from fringe3d.model.table import TableAxis, TablePosition
+from fringe3d.model.view import FoundTable, PairResidual, Registration, SurfaceView
 from fringe3d.model.volume import MeasuringVolume
 
 __all__ = [
+    "FATES",
     "NO_ORDER",
     "Board",
     "CalibrationBias",
     "Correspondences",
     "Device",
+    "Fate",
+    "FoundTable",
     "Fringe",
     "Fused",
     "GrayBit",
     "ImageStack",
     "MeasuringVolume",
+    "MergedCloud",
     "NoiseModel",
+    "PairResidual",
     "Pattern",
     "PatternPlan",
     "PhaseMap",
     "PointCloud",
     "PointMap",
+    "Registration",
     "Rejection",
     "Response",
     "Rig",
@@ -41,6 +49,8 @@ __all__ = [
     "RigidTransform",
     "Ripple",
     "Scan",
+    "SurfaceMesh",
+    "SurfaceView",
     "TableAxis",
     "TablePosition",
     "Uniform",

@@ -1,0 +1,205 @@
+"""Two views that lie anywhere: features, a robust solver, generalised ICP; how well they fit."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fringe3d.errors import MethodError
+from fringe3d.model import RigidTransform, SurfaceView
+from fringe3d.register.overlap import Sample, land_sample, sample_of
+from fringe3d.register.small_motion import nearest_rotation
+
+Floats = NDArray[np.float64]
+
+EXTENT = 80.0
+"""Clouds are scaled so that their diagonal is so long: the matcher's bounds suit that."""
+
+VOXELS = (0.8, 0.5, 1.2)
+"""Of the features, of that extent: one of them suits the size of the object's details."""
+
+MOST_POINTS = 60_000
+ICP_VOXELS, ICP_REACH = 3.0, 12.0
+"""Typical distances of points: of the points that GICP takes, and how far it looks for partners."""
+
+N_JUDGED = 2000
+NEAR = 4.0
+"""Typical distances of points: views that fit lie so near each other."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PairFit:
+    """How one view lies to another.
+
+    Parameters
+    ----------
+    first_from_second : RigidTransform
+    overlap : float, 0 to 1; part of the points of either that lie on the other's surface
+    contradiction : float, 0 to 1; of the points that lie on it or before it, the part that the
+        other camera looked through
+    """
+
+    first_from_second: RigidTransform
+    overlap: float
+    contradiction: float
+
+    @property
+    def quality(self) -> float:
+        """Return one number to compare fits by."""
+        return self.overlap * (1 - self.contradiction) ** 2
+
+
+def extra(name: str, of: str, /) -> Any:
+    """Return a library of an extra; say what to install where it is missing.
+
+    Raises
+    ------
+    MethodError
+    """
+    import importlib
+
+    try:
+        return importlib.import_module(name)
+    except ImportError as problem:
+        raise MethodError(
+            f"merge: expected the packages of registration, found no '{name}' ({problem}). Install "
+            f"them: pip install 'fringe3d[{of}]'"
+        ) from None
+
+
+def match_pair(first: SurfaceView, second: SurfaceView, /) -> PairFit | None:
+    """Find how two views lie to each other without knowing anything.
+
+    Parameters
+    ----------
+    first, second : SurfaceView
+
+    Returns
+    -------
+    PairFit or None; None where nothing fits
+
+    Raises
+    ------
+    MethodError
+        If a library is missing.
+
+    Notes
+    -----
+    KISS-Matcher: Faster-PFH features, a maximal set of consistent ones, graduated non-convexity;
+    then generalised ICP by small_gicp. The best of three sizes of features is taken.
+    """
+    kiss = extra("kiss_matcher", "merge")
+    clouds = [_thinned(view.points_mm[view.is_valid]) for view in (first, second)]
+    extent = max(float(np.linalg.norm(np.ptp(cloud, axis=0))) for cloud in clouds)
+    unit = extent / EXTENT
+    middles = [cloud.mean(axis=0) for cloud in clouds]
+    scaled = [((c - m) / unit).astype(np.float32) for c, m in zip(clouds, middles, strict=True)]
+    best: PairFit | None = None
+    for voxel in VOXELS:
+        with _without_output():
+            told = kiss.KISSMatcher(voxel).estimate(scaled[1], scaled[0])
+        if not told.valid:
+            continue
+        rotation = nearest_rotation(np.asarray(told.rotation, np.float64))
+        shift = unit * np.asarray(told.translation, np.float64).ravel()
+        rough = RigidTransform(rotation=rotation,
+                               translation=middles[0] - rotation @ middles[1] + shift)  # fmt: skip
+        fit = judge_pair(first, second, refine_pair(first, second, rough))
+        best = fit if best is None or fit.quality > best.quality else best
+        if is_sure(best):
+            break
+    return best
+
+
+SURE_OVERLAP, SURE_CONTRADICTION = 0.4, 0.1
+LEAST_OVERLAP_PART, MOST_CONTRADICTION = 0.15, 0.25
+
+
+def is_sure(fit: PairFit, /) -> bool:
+    """Tell whether a fit leaves no doubt."""
+    return fit.overlap > SURE_OVERLAP and fit.contradiction < SURE_CONTRADICTION
+
+
+def is_possible(fit: PairFit, /) -> bool:
+    """Tell whether a fit may be right."""
+    return fit.overlap > LEAST_OVERLAP_PART and fit.contradiction < MOST_CONTRADICTION
+
+
+@contextmanager
+def _without_output() -> Iterator[None]:
+    """Keep what compiled libraries print off the user's terminal."""
+    kept = os.dup(1)
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    try:
+        os.dup2(nowhere, 1)
+        yield
+    finally:
+        os.dup2(kept, 1)
+        os.close(kept)
+        os.close(nowhere)
+
+
+def _thinned(points: Floats) -> Floats:
+    if len(points) <= MOST_POINTS:
+        return points
+    return points[:: -(-len(points) // MOST_POINTS)]
+
+
+def refine_pair(
+    first: SurfaceView, second: SurfaceView, first_from_second: RigidTransform, /
+) -> RigidTransform:
+    """Return how two views lie to each other, from where they lie roughly, by generalised ICP."""
+    gicp = extra("small_gicp", "merge")
+    spacing = max(first.spacing_mm, second.spacing_mm)
+    start = np.eye(4)
+    start[:3, :3] = first_from_second.rotation
+    start[:3, 3] = first_from_second.translation
+    target, source = (view.points_mm[view.is_valid] for view in (first, second))
+    middle = target.mean(axis=0)  # small numbers: turns and shifts then hang together little
+    start[:3, 3] = start[:3, :3] @ middle + start[:3, 3] - middle
+    told = gicp.align(
+        target - middle, source - middle, init_T_target_source=start, registration_type="GICP",
+        downsampling_resolution=ICP_VOXELS * spacing,
+        max_correspondence_distance=ICP_REACH * spacing, num_threads=1, max_iterations=40,
+        rotation_epsilon=1e-5, translation_epsilon=1e-4 * spacing,
+    )  # fmt: skip
+    found = np.asarray(told.T_target_source)
+    rotation = nearest_rotation(found[:3, :3])
+    return RigidTransform(rotation=rotation, translation=found[:3, 3] + middle - rotation @ middle)
+
+
+def judge_pair(
+    first: SurfaceView, second: SurfaceView, first_from_second: RigidTransform, /
+) -> PairFit:
+    """Tell how well two views fit: what lies on each other, and what the other looked through."""
+    near = NEAR * max(first.spacing_mm, second.spacing_mm)
+    identity = RigidTransform.identity()
+    sides = (
+        (sample_of(second, N_JUDGED), first_from_second, first, identity),
+        (sample_of(first, N_JUDGED), identity, second, first_from_second),
+    )
+    n_all = n_near = n_front = 0
+    for sample, own, other, pose in sides:
+        counts = _counts(sample, own, other, pose, near)
+        n_all, n_near, n_front = n_all + counts[0], n_near + counts[1], n_front + counts[2]
+    return PairFit(
+        first_from_second=first_from_second,
+        overlap=n_near / max(n_all, 1),
+        contradiction=n_front / max(n_near + n_front, 1),
+    )
+
+
+def _counts(
+    sample: Sample, own: RigidTransform, other: SurfaceView, pose: RigidTransform, near: float
+) -> tuple[int, int, int]:
+    landed = land_sample(sample, own, other, pose)
+    with np.errstate(invalid="ignore"):
+        is_near = np.abs(landed.distance_mm) <= near
+        is_front = (landed.behind_mm < -2 * near) & ~is_near
+    return len(sample.points_mm), int(is_near.sum()), int(is_front.sum())
