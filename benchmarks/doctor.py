@@ -1,19 +1,25 @@
 """Faults put into simulated scans: whether the doctor names them, and is silent on sound ones.
 
-    python -m benchmarks.doctor faults --cases 20     each fault in 20 seeded scans
+    python -m benchmarks.doctor faults                each fault in 20 seeded scans
     python -m benchmarks.doctor sound                 presets x objects, and FRINGE3D_DATA
 
 Faults are put in by the simulator's imperfections, by reordering images, or by a wrong description:
 nothing of the checks is used. Scans: 256 x 205 px, full Gray code, light and dark, 4, 5 or 8 steps.
+
+All cases take a quarter of an hour, the sound scans as long; in parts, kept in a file:
+
+    python -m benchmarks.doctor faults --cases 0:5 --only flicker motion --keep kept.json
+    python -m benchmarks.doctor faults --cases 5:20 --keep kept.json       what is not kept yet
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import os
-from collections import defaultdict
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -49,13 +55,21 @@ def main() -> None:
     """Print one of the tables."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("what", choices=("faults", "sound"))
-    parser.add_argument("--cases", type=int, default=20)
-    parser.add_argument("--only", nargs="*", default=None)
+    parser.add_argument("--cases", default=None, help="FIRST:END of cases or scans")
+    parser.add_argument("--only", nargs="*", default=None, help="faults")
+    parser.add_argument("--keep", type=Path, default=None, help="file of what was found before")
     options = parser.parse_args()
-    if options.what == "sound":
-        sound()
-    else:
-        faults(options.cases, options.only or [*RENDERED, *SPOILT])
+    kept = json.loads(options.keep.read_text()) if options.keep and options.keep.exists() else {}
+    ends = options.cases or ("0:20" if options.what == "faults" else "0:1000")
+    cases = range(*(int(end) for end in ends.split(":")))
+    try:
+        if options.what == "sound":
+            sound(cases, kept)
+        else:
+            faults(cases, options.only or [*RENDERED, *SPOILT], kept)
+    finally:
+        if options.keep:
+            options.keep.write_text(json.dumps(kept, indent=1))
 
 
 def staged(number: int, *, cameras: int = 1) -> tuple[Preset, Stage, int]:
@@ -77,24 +91,26 @@ def recorded(preset: Preset, stage: Stage, steps: int, seed: int, method: str = 
     return record(stage, plan, seed=seed)
 
 
-def faults(n_cases: int, names: list[str]) -> None:
+def faults(cases: range, names: list[str], kept: dict[str, list[str]]) -> None:
     """Put each fault into each case; print how often it is named, and what else is."""
-    named: dict[str, int] = defaultdict(int)
-    others: dict[str, list[str]] = defaultdict(list)
-    for number in range(n_cases):
+    for number in cases:
         for name in names:
+            key = f"{name}, {number}"
+            if key in kept:
+                continue
             rng = np.random.default_rng([number, sorted([*RENDERED, *SPOILT]).index(name)])
-            kinds = [kind.value for kind in diagnose(faulty(name, number, rng)).kinds]
-            expected = EXPECTED.get(name, name)
-            named[name] += expected in kinds
-            more = [kind for kind in kinds if kind != expected]
-            others[name] += [f"{number}: {', '.join(more)}"] if more else []
-            if expected not in kinds:
-                print(f"# case {number}, {name}: {kinds}", flush=True)
-        print(f"# {number + 1} cases", flush=True)
+            kept[key] = [kind.value for kind in diagnose(faulty(name, number, rng)).kinds]
+            if EXPECTED.get(name, name) not in kept[key]:
+                print(f"# case {number}, {name}: {kept[key]}", flush=True)
+        print(f"# case {number} done", flush=True)
     print("| fault | named | of | named besides |\n|---|---:|---:|---|")
     for name in names:
-        print(f"| {name} | {named[name]} | {n_cases} | {'; '.join(others[name])} |", flush=True)
+        expected = EXPECTED.get(name, name)
+        found = {n: kinds for n in range(1000) if (kinds := kept.get(f"{name}, {n}")) is not None}
+        n_named = sum(expected in kinds for kinds in found.values())
+        others = {n: [k for k in kinds if k != expected] for n, kinds in found.items()}
+        besides = "; ".join(f"{n}: {', '.join(more)}" for n, more in others.items() if more)
+        print(f"| {name} | {n_named} | {len(found)} | {besides} |", flush=True)
 
 
 CACHE: dict[tuple[int, int], tuple[Preset, Stage, int]] = {}
@@ -287,35 +303,42 @@ SPOILT: dict[str, Spoil] = {
 }
 
 
-def sound() -> None:
+def sound(numbers: range, kept: dict[str, list[str]]) -> None:
     """Print what the doctor says of sound scans."""
-    n, alarms = 0, 0
-    for name, scan in (*sound_scans(), *captures()):
-        kinds = [f"{fault.kind.value} ({fault.value:.3g})" for fault in diagnose(scan).faults]
-        n, alarms = n + 1, alarms + bool(kinds)
-        print(f"{name}: {', '.join(kinds) or 'sound'}", flush=True)
-    print(f"{n} scans, {alarms} with faults")
+    for name, make in [*sound_scans(), *captures()][numbers.start : numbers.stop]:
+        if name not in kept:
+            faults = diagnose(make()).faults
+            kept[name] = [f"{fault.kind.value} ({fault.value:.3g})" for fault in faults]
+        print(f"{name}: {', '.join(kept[name]) or 'sound'}", flush=True)
+    print(f"{len(kept)} scans, {sum(bool(kinds) for kinds in kept.values())} with faults")
 
 
-def sound_scans() -> Iterator[tuple[str, Scan]]:
-    """Yield scans of every rig with several objects and plans."""
+def sound_scans() -> Iterator[tuple[str, Callable[[], Scan]]]:
+    """Yield scans of every rig with several objects and plans, to be made."""
     number = 0
     for rig in PRESETS:
         for thing in list(OBJECTS)[number % 2 :: 2]:
-            preset = PRESETS[rig](SIZE)
-            stage = prepare(preset.rig, preset.scene(OBJECTS[thing]()))
             method = ("m1", "m2", "m1")[number % 3]
-            scan = recorded(preset, stage, (4, 8, 3, 5)[number % 4], number, method)
-            yield f"{rig}, {thing}, {method}", scan
+            yield f"{rig}, {thing}, {method}", partial(sound_scan, rig, thing, method, number)
             number += 1
 
 
-def captures() -> Iterator[tuple[str, Scan]]:
-    """Yield the recordings by others, where they are."""
+def sound_scan(rig: str, thing: str, method: str, number: int) -> Scan:
+    """Record one of them."""
+    preset = PRESETS[rig](SIZE)
+    stage = prepare(preset.rig, preset.scene(OBJECTS[thing]()))
+    return recorded(preset, stage, (4, 8, 3, 5)[number % 4], number, method)
+
+
+def captures() -> Iterator[tuple[str, Callable[[], Scan]]]:
+    """Yield the recordings by others, where they are, to be read."""
     folder = os.environ.get("FRINGE3D_DATA")
     for file in sorted(Path("examples/captures").glob("*.toml")) if folder else ():
-        if not file.stem.endswith("-rig") and "procam" not in file.stem:
-            yield file.stem, read_scan(file, images=Path(str(folder)))
+        if file.stem == "procam-board":
+            for pose in sorted((Path(str(folder)) / file.stem).glob("capture_*")):
+                yield f"{file.stem}, {pose.name}", partial(read_scan, file, images=pose)
+        elif not file.stem.endswith("-rig"):
+            yield file.stem, partial(read_scan, file, images=Path(str(folder)))
 
 
 if __name__ == "__main__":

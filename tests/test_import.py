@@ -77,7 +77,7 @@ def small(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Return ``images`` in the working directory, two grey ones; what they say is not checked."""
     fill(tmp_path / "images", np.full((6, 8), 200, np.uint8))
     for check in ("_check", "_check_both_directions"):
-        monkeypatch.setattr(f"fringe3d.cli.importer.{check}", lambda *_: "not checked")
+        monkeypatch.setattr(f"fringe3d.cli.importer.{check}", lambda *_: ("not checked", {}))
     monkeypatch.chdir(tmp_path)
     return tmp_path / "images"
 

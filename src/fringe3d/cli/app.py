@@ -219,6 +219,7 @@ def import_(
     black_level: float = 0.0,
     title: str = "",
     overwrite: Overwrite = False,
+    as_json: Json = False,
 ) -> None:
     """Describe a recording made by other software, and check the description.
 
@@ -278,5 +279,5 @@ def import_(
         title=title,
         overwrite=overwrite,
     )
-    text = import_recording(options, Reporter(quiet=False))
-    say(text)
+    text, record = import_recording(options, Reporter(quiet=as_json))
+    say(text, record, as_json=as_json)

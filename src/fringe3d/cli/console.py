@@ -66,7 +66,8 @@ def _labelled(label: str, colour: str, text: str) -> Text:
 
 def say(text: str, record: dict[str, Any] | None = None, *, as_json: bool = False) -> None:
     """Print the one-line result, or the record as JSON."""
-    print(json.dumps(record, default=str) if as_json else text, file=sys.stdout)  # noqa: T201
+    told = json.dumps(record, default=str) if as_json else text
+    print(told, file=sys.stdout, flush=True)  # noqa: T201
 
 
 def fail(text: str) -> None:

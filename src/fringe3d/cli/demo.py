@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -20,8 +21,8 @@ WRONG_MM = 0.5
 """Noise moves points by 0.01 mm; a wrong fringe order moves them by 6 mm, a mixed pixel by less."""
 
 
-def run_demo(out: Path, *, overwrite: bool, reporter: Reporter) -> str:
-    """Render the scan, measure it, write both; return what to print."""
+def run_demo(out: Path, *, overwrite: bool, reporter: Reporter) -> tuple[str, dict[str, Any]]:
+    """Render the scan, measure it, write both; return what to print, and the same as data."""
     with new_folder(out, overwrite=overwrite) as folder:
         reporter.stage("rendering", of=6)
         run_simulation(
@@ -47,12 +48,16 @@ def run_demo(out: Path, *, overwrite: bool, reporter: Reporter) -> str:
     error = np.linalg.norm(result.points.points_mm - true_points, axis=-1)[good]
     median_um, p95_um = 1000 * np.percentile(error, [50, 95])
     n_images = recording.stacks[0].plan.n_images
-    found = (good & reference).sum() / reference.sum()
-    return (
+    found, wrong = float((good & reference).sum() / reference.sum()), (error > WRONG_MM).mean()
+    record = {"out": str(out), "points": int(good.sum()), "n_images": n_images,
+              "found_part": found, "median_error_um": float(median_um),
+              "p95_error_um": float(p95_um), "wrong_part": float(wrong)}  # fmt: skip
+    text = (
         f"{summary(result)}\n"
         f"{n_images} images; {found:.1%} of the {reference.sum():,} pixels that see a lit point in "
         "the volume which c2 sees, too\n"
         f"distance from the true points: median {median_um:.1f} um, 95 % below {p95_um:.1f} um, "
-        f"{(error > WRONG_MM).mean():.2%} more than {WRONG_MM} mm\n"
+        f"{wrong:.2%} more than {WRONG_MM} mm\n"
         f"open {out}/result/report.html in a browser; the cloud is {out}/result/cloud.ply"
     )
+    return text, record

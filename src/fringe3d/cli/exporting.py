@@ -8,7 +8,7 @@ from typing import Annotated
 from cyclopts import Parameter
 
 from fringe3d.cli.console import say
-from fringe3d.cli.parameters import Overwrite, app
+from fringe3d.cli.parameters import Json, Overwrite, app
 from fringe3d.errors import RigError
 from fringe3d.model import Device, Rig
 
@@ -22,6 +22,7 @@ def export(
     devices: str | None = None,
     inverse_pose: Annotated[bool, Parameter(negative=())] = False,
     overwrite: Overwrite = False,
+    as_json: Json = False,
 ) -> None:
     """Write two devices of a rig as a calibration that OpenCV reads (YAML, XML, JSON).
 
@@ -50,7 +51,10 @@ def export(
     text = opencv_text(first, second, form=out.suffix, second_from_first=not inverse_pose)
     write_text(out, text, overwrite=overwrite)
     maps = (second.name, first.name) if inverse_pose else (first.name, second.name)
-    say(f"{first.name} and {second.name}, R and T from {maps[0]} to {maps[1]} (mm) -> {out}")
+    record = {"out": str(out), "devices": [first.name, second.name], "maps_from": maps[0],
+              "maps_to": maps[1]}  # fmt: skip
+    say(f"{first.name} and {second.name}, R and T from {maps[0]} to {maps[1]} (mm) -> {out}",
+        record, as_json=as_json)  # fmt: skip
 
 
 def _pair(rig: Rig, names: str | None) -> tuple[Device, Device]:

@@ -38,9 +38,12 @@ from fringe3d.io.importing import (
 from fringe3d.io.recording import read_scan
 from fringe3d.io.rigfile import read_rig, rig_text, slab_text
 from fringe3d.pipeline import Measurement, MeasureOptions, measure
-from fringe3d.report.folder import summary
+from fringe3d.report.folder import finding_record, summary
 
 __all__ = ["ImportOptions", "import_recording"]
+
+Told = tuple[str, dict[str, Any]]
+"""What to print, and the same as plain data."""
 
 POSE_FINDINGS = ("epipolar_residual_px", "trinocular_residual_px", "lost_part", "texture_shift_px")
 """Of these one at least is bad where R and T are taken the wrong way round: but for cameras that
@@ -56,8 +59,8 @@ CLEARER_TEXTURE = 0.15
 independent points, and the median of nine parts is taken."""
 
 
-def import_recording(options: ImportOptions, reporter: Reporter, /) -> str:
-    """Write the scan file (and the rig file), check them; return what to print."""
+def import_recording(options: ImportOptions, reporter: Reporter, /) -> Told:
+    """Write the scan file (and the rig file), check them; return what to print, and a record."""
     _require_sense(options)
     if not (options.cameras and options.sequence):
         _require_terminal(options)
@@ -181,7 +184,7 @@ def _write(options: ImportOptions, scan: str, rig: str | None) -> None:
 
 def _check_both_directions(
     options: ImportOptions, cameras: Sequence[dict[str, Any]], rig: str, reporter: Reporter
-) -> str:
+) -> Told:
     """Check R and T as OpenCV writes them; where they do not fit, the other way round.
 
     What fits is taken, and said; where neither does, the first problem is told.
@@ -196,20 +199,23 @@ def _check_both_directions(
         (_n_points(found), _n_points(other)), (_correlation(found), _correlation(other))
     )
     if is_inverse and not isinstance(other, Fringe3DError):
-        return (
-            f"{_told(inverse, other)}\nR and T map the second device to the first "
-            f"(--inverse-pose): so they fit the images better ({why})"
+        return _told(
+            inverse,
+            other,
+            "R and T map the second device to the first (--inverse-pose): so they fit the images "
+            f"better ({why})",
         )
     write_text(options.rig_out, rig, overwrite=True)
     if isinstance(found, Fringe3DError):
         raise _failed(options, found)
-    told = _told(options, found)
-    if is_inverse is None:
-        told += (
-            f"\nwarning: R and T fit in both directions ({why}), and are taken as OpenCV's, from "
-            "the first device to the second. If the cloud is deformed, import with --inverse-pose"
-        )
-    return told
+    if is_inverse is not None:
+        return _told(options, found)
+    return _told(
+        options,
+        found,
+        f"warning: R and T fit in both directions ({why}), and are taken as OpenCV's, from the "
+        "first device to the second. If the cloud is deformed, import with --inverse-pose",
+    )
 
 
 def direction_that_fits(
@@ -267,7 +273,7 @@ def _correlation(result: Measurement | Fringe3DError) -> float:
                 math.nan)  # fmt: skip
 
 
-def _check(options: ImportOptions, reporter: Reporter) -> str:
+def _check(options: ImportOptions, reporter: Reporter) -> Told:
     """Measure with the new description; say what came out, and what may be wrong."""
     try:
         return _told(options, _measured(options, reporter))
@@ -293,14 +299,22 @@ def _failed(options: ImportOptions, problem: Fringe3DError) -> PlanError:
     )
 
 
-def _told(options: ImportOptions, result: Measurement) -> str:
+def _told(options: ImportOptions, result: Measurement, *remarks: str) -> Told:
     lines = [f"{options.out}: {summary(result)}"]
     if result.points is None:
         lines.append(
             "for points import again with --overwrite and --calibration FILE (or --rig FILE)"
         )
     lines += [f"{finding.level}: {finding.text}" for finding in result.findings]
-    return "\n".join(lines)
+    record = {
+        "out": str(options.out),
+        "rig": str(options.rig_out if options.calibration else options.rig or "") or None,
+        "inverse_pose": options.inverse_pose,
+        "points": result.points.n_points if result.points else None,
+        "remarks": list(remarks),
+        "health": [finding_record(finding) for finding in result.findings],
+    }
+    return "\n".join([*lines, *remarks]), record
 
 
 def _remedy(options: ImportOptions, problem: Fringe3DError) -> str:

@@ -33,6 +33,7 @@ def patterns(
     response: Path | None = None,
     bits: Literal[8, 16] = 8,
     overwrite: Overwrite = False,
+    as_json: Json = False,
 ) -> None:
     """Write the images to project, and the plan that travels with them.
 
@@ -107,9 +108,10 @@ def patterns(
         raise MethodError(f"{problem}. See fringe3d patterns --help") from None
     curve = mean_curve(response) if response else None
     write_patterns(out, plan, bit_depth=bits, response=curve, overwrite=overwrite)
-    say(f"{plan.n_images} images of {width} x {height} px, {bits} bit -> {out}")
-    for note in notes:
-        say(f"note: {note}")
+    said = [f"{plan.n_images} images of {width} x {height} px, {bits} bit -> {out}"]
+    record = {"out": str(out), "n_images": plan.n_images, "size": [width, height],
+              "bit_depth": bits, "notes": notes}  # fmt: skip
+    say("\n".join([*said, *(f"note: {note}" for note in notes)]), record, as_json=as_json)
 
 
 def _angles(angle: float | None, direction: str | None) -> tuple[float, ...]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
+import rich
 from cyclopts import Parameter
 
 from fringe3d.cli.console import say
@@ -66,6 +67,7 @@ def view(
     points: Annotated[int, Parameter(validator=at_least(1))] = 1_000_000,
     html: Path | None = None,
     overwrite: Overwrite = False,
+    as_json: Json = False,
 ) -> None:
     """Show results in three dimensions, in the browser; Ctrl-C ends it.
 
@@ -93,10 +95,11 @@ def view(
 
     if not results:
         raise MethodError("view: expected a result or a scan, found none. See fringe3d view --help")
-    found = shown_results(results)
+    found = shown_results(results, quiet=as_json)
     if html is not None:
         n_bytes = write_page(html, found, points, overwrite=overwrite)
-        say(f"{n_bytes / 1e6:.1f} MB -> {html}")
+        record = {"out": str(html), "bytes": n_bytes}
+        say(f"{n_bytes / 1e6:.1f} MB -> {html}", record, as_json=as_json)
         return
     try:
         from fringe3d.view.live import LiveView
@@ -105,9 +108,12 @@ def view(
             f"view: expected the packages of the 3D view, found no '{problem.name}'. Install them: "
             "pip install 'fringe3d[view]'. Without them: --html FILE, or fringe3d report"
         ) from None
+    rich.reconfigure(quiet=True)  # the banner of the server, on standard output
     live = LiveView([stored for stored, _ in found], host=host, port=port, most_points=points,
                     phases=lambda stored: next(f() for s, f in found if s is stored))  # fmt: skip
-    say(f"{live.address} shows {', '.join(map(str, results))}; Ctrl-C ends it")
+    shown = [str(result) for result in results]
+    say(f"{live.address} shows {', '.join(shown)}; Ctrl-C ends it",
+        {"address": live.address, "results": shown}, as_json=as_json)  # fmt: skip
     try:
         live.server.sleep_forever()
     except KeyboardInterrupt:

@@ -37,6 +37,7 @@ def simulate(
     axis_off: str = "0mm:0deg",
     angle_error: Annotated[float, Parameter(validator=at_least(0))] = 0.0,
     overwrite: Overwrite = False,
+    as_json: Json = False,
 ) -> None:
     """Record a scan without hardware, with exact truth.
 
@@ -119,13 +120,13 @@ def simulate(
         angle_error_deg=angle_error,
         overwrite=overwrite,
     )
-    with Reporter(quiet=False).running() as reporter:
-        text = run_simulation(options, reporter)
-    say(text)
+    with Reporter(quiet=as_json).running() as reporter:
+        text, record = run_simulation(options, reporter)
+    say(text, record, as_json=as_json)
 
 
 @app.command
-def demo(*, out: Path = Path("demo"), overwrite: Overwrite = False) -> None:
+def demo(*, out: Path = Path("demo"), overwrite: Overwrite = False, as_json: Json = False) -> None:
     """Measure a simulated scan of a machine part, and compare it with the truth.
 
     Leaves the scan in OUT/scan and the result in OUT/result: look at overview.png.
@@ -138,9 +139,9 @@ def demo(*, out: Path = Path("demo"), overwrite: Overwrite = False) -> None:
     with simulator_installed("demo"):
         from fringe3d.cli.demo import run_demo
 
-    with Reporter(quiet=False).running() as reporter:
-        text = run_demo(out, overwrite=overwrite, reporter=reporter)
-    say(text)
+    with Reporter(quiet=as_json).running() as reporter:
+        text, record = run_demo(out, overwrite=overwrite, reporter=reporter)
+    say(text, record, as_json=as_json)
 
 
 @evaluate.command

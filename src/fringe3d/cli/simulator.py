@@ -100,8 +100,9 @@ class SimulateOptions:
         return self.positions > 1 and not is_board(self.thing)
 
 
-def run_simulation(options: SimulateOptions, reporter: Reporter, /) -> str:
-    """Render, write the scan (or a series of scans) and its truth; return what to print."""
+def run_simulation(options: SimulateOptions, reporter: Reporter, /) -> tuple[str, dict[str, Any]]:
+    """Render, write the scan (or a series of scans) and its truth; return what to print, and the
+    same as plain data."""
     preset = _preset(options)
     require_writable(options.out, overwrite=options.overwrite, inputs=_inputs(options))
     settings = _settings(options)
@@ -133,10 +134,14 @@ def run_simulation(options: SimulateOptions, reporter: Reporter, /) -> str:
         raise MethodError(f"{problem}. See fringe3d simulate --help") from None
     scans = "a scan" if len(scenes) == 1 else f"{len(scenes)} scans"
     width, height = options.camera_size
-    return (
+    record = {"out": str(options.out), "n_scans": len(scenes), "n_images": plan.n_images,
+              "cameras": [camera.name for camera in preset.rig.cameras],
+              "camera_size": [width, height]}  # fmt: skip
+    text = (
         f"{scans} of {plan.n_images} images, {len(preset.rig.cameras)} camera(s) {width} x "
         f"{height} px, with truth -> {options.out}"
     )
+    return text, record
 
 
 def stages_of(options: SimulateOptions, reporter: Reporter, /) -> tuple[Preset, Stages]:

@@ -16,7 +16,7 @@ Shown = tuple[StoredResult, Callable[[], Mapping[str, PhaseMap]]]
 """A result, and a function that tells what the other cameras saw."""
 
 
-def shown_results(paths: Sequence[Path], /) -> list[Shown]:
+def shown_results(paths: Sequence[Path], /, *, quiet: bool = False) -> list[Shown]:
     """Read results; measure what is a scan.
 
     Raises
@@ -24,7 +24,7 @@ def shown_results(paths: Sequence[Path], /) -> list[Shown]:
     Fringe3DError
         If one is neither, or has no points.
     """
-    found = [_measured(path) if is_scan(path) else _read(path) for path in paths]
+    found = [_measured(path, quiet=quiet) if is_scan(path) else _read(path) for path in paths]
     for path, (stored, _) in zip(paths, found, strict=True):
         if stored.rejection.all():
             raise MethodError(f"{path}: expected points, found none. Look at overview.png")
@@ -101,7 +101,7 @@ def _read(path: Path) -> Shown:
     return stored, partial(phases, stored)
 
 
-def _measured(path: Path) -> Shown:
+def _measured(path: Path, *, quiet: bool) -> Shown:
     from dataclasses import replace
 
     from fringe3d.io.recording import read_scan
@@ -110,7 +110,7 @@ def _measured(path: Path) -> Shown:
     from fringe3d.report.folder import stored_result
 
     options = MeasureOptions()
-    with Reporter(quiet=False).running() as reporter:
+    with Reporter(quiet=quiet).running() as reporter:
         scan = read_scan(path, progress=reporter.step)
         result = measure(scan, options, stage=reporter.stage)
     if result.points is None:

@@ -197,7 +197,7 @@ def measure_record(
         "options": {k: list(v) if isinstance(v, tuple) else v for k, v in asdict(options).items()},
         "pixels": {"total": result.rejection.size, "accepted": int((result.rejection == 0).sum()),
                    "rejected": count_by_reason(result.rejection)},
-        "health": [_finding_record(finding) for finding in result.findings],
+        "health": [finding_record(finding) for finding in result.findings],
         "images": {name: {"count": len(stack.images), "sha256": _digest(stack.images)}
                    for name, stack in used.items()},
         "seconds": {name: round(value, 3) for name, value in result.seconds.items()},
@@ -229,7 +229,8 @@ def measure_record(
     return record
 
 
-def _finding_record(finding: Finding) -> dict[str, Any]:
+def finding_record(finding: Finding, /) -> dict[str, Any]:
+    """Return a finding as plain data."""
     record = asdict(finding)
     return record if finding.figures else {k: v for k, v in record.items() if k != "figures"}
 
