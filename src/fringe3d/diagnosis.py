@@ -38,7 +38,10 @@ OF_RESPONSE = "ripple_rad"
 """End of the name of the finding of a measurement that accuses the response; it needs many
 fringes, and only three steps need it."""
 
-AMBIGUITY = ("ambiguous_part", "undecided_part")
+LOST = "lost_part"
+VOUCHING = ("epipolar_residual_px", "trinocular_residual_px")
+"""Findings that no wrong calibration passes: then pixels without a point see a table or a wall that
+lies outside the volume."""
 
 MISORDERED = frozenset({
     Kind.MISSING_IMAGE, Kind.REPEATED_IMAGE, Kind.EXCHANGED_IMAGES, Kind.SHIFT_DIRECTION,
@@ -51,7 +54,8 @@ INSIDE_PART = 0.02
 there."""
 
 MOST_LOST = 0.8
-"""Part of the pixels without a point that a table or wall outside the volume may explain."""
+"""Part of the pixels without a point that a table or wall outside the volume may explain where
+nothing vouches for the calibration."""
 
 LEAST_POINTS = 0.01
 """Part of the pixels that must have a point to judge anything by them."""
@@ -160,26 +164,35 @@ def _of_geometry(
     """Judge the calibration, which camera is which, and where the object stands."""
     if isinstance(result, MethodError) and "several points" not in str(result):
         return []
-    accused = _accusations(result)
+    accused = _accusations(result, vouch=False)
     if not accused and not isinstance(result, Fringe3DError):
         return []
     if any(fault.kind in (Kind.TOO_DARK, Kind.DEFOCUS) for fault in before):
         return []  # too few pixels tell anything
-    outside = _outside(scan, rig, options)
-    if outside is not None:
-        return [outside]
+    free = _free_of_volume(scan, rig, options)
+    if free is not None:
+        outside = _outside(free, rig)
+        if outside is not None:
+            return [outside]
+        if all(fault.figure == GEOMETRIC[LOST] for fault in accused):
+            return []  # the calibration fits; what is lost lies outside
     exchanged = _exchanged(scan, options, result)
     if exchanged is not None:
         return [exchanged]
-    return accused or _accusations_of_error(result)
+    return _accusations(result) or _accusations_of_error(result)
 
 
-def _accusations(result: Measurement | Fringe3DError) -> list[Fault]:
-    """Return the findings of a measurement that accuse the calibration or the code, as faults."""
+def _accusations(result: Measurement | Fringe3DError, *, vouch: bool = True) -> list[Fault]:
+    """Return the findings of a measurement that accuse the calibration or the code, as faults.
+
+    With `vouch`, residuals that are small clear it of the pixels that have no point.
+    """
     if not isinstance(result, Measurement):
         return []
+    vouched = vouch and any(f.name in VOUCHING and f.level == "ok" and np.isfinite(f.value)
+                  for f in result.findings) and _has_points(result)  # fmt: skip
     found = [f for f in result.findings if f.name in GEOMETRIC and f.level != "ok"
-             and not (f.name == "lost_part" and f.value < MOST_LOST)]  # fmt: skip
+             and not (f.name == LOST and (vouched or f.value < MOST_LOST))]  # fmt: skip
     return [Fault(kind=Kind.CALIBRATION, camera="", figure=GEOMETRIC[f.name], value=f.value,
                     limit=float("nan"), text=f.text) for f in found]  # fmt: skip
 
@@ -195,16 +208,26 @@ def _accusations_of_error(result: Measurement | Fringe3DError) -> list[Fault]:
     return []
 
 
-def _outside(scan: Scan, rig: Rig, options: MeasureOptions | None) -> Fault | None:
-    """Tell whether the points lie outside the measuring volume; None if not, or not known."""
+def _has_points(result: Measurement) -> bool:
+    """Tell whether enough pixels have a point to judge anything by them."""
+    return result.points is not None and (result.points.rejection == 0).mean() >= LEAST_POINTS
+
+
+def _free_of_volume(scan: Scan, rig: Rig, options: MeasureOptions | None) -> Measurement | None:
+    """Measure without the volume; None where there is none, or that contradicts the calibration."""
     if rig.volume is None:
         return None
     free = _measured(replace(scan, rig=replace(rig, volume=None, bias=None)), options)
-    if not isinstance(free, Measurement) or free.points is None or _accusations(free):
+    if not isinstance(free, Measurement) or _accusations(free) or not _has_points(free):
         return None
+    return free
+
+
+def _outside(free: Measurement, rig: Rig) -> Fault | None:
+    """Tell whether points that were found without the measuring volume lie outside it."""
+    assert free.points is not None
+    assert rig.volume is not None
     good = free.points.rejection == 0
-    if good.mean() < LEAST_POINTS:
-        return None
     inside = float(rig.volume.contains(free.points.points_mm[good]).mean())
     if inside >= INSIDE_PART:
         return None

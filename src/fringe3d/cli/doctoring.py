@@ -5,14 +5,16 @@ from __future__ import annotations
 import math
 import sys
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from fringe3d.cli.console import Reporter, say
 from fringe3d.cli.parameters import Json, Overwrite, app
-from fringe3d.diagnosis import Diagnosis, diagnose
 from fringe3d.errors import ImageError
-from fringe3d.health import Fault, Kind
-from fringe3d.model import Scan
+
+if TYPE_CHECKING:  # the command imports what it needs when it runs
+    from fringe3d.diagnosis import Diagnosis
+    from fringe3d.health import Fault
+    from fringe3d.model import Scan
 
 
 @app.command
@@ -47,6 +49,7 @@ def doctor(
     out
         A picture (PNG) of what was found.
     """
+    from fringe3d.diagnosis import Diagnosis, diagnose
     from fringe3d.io.atomic import require_writable
     from fringe3d.io.importing import parse_depth
     from fringe3d.io.recording import read_scan
@@ -72,6 +75,8 @@ def doctor(
 
 
 def _unreadable(problem: ImageError) -> Fault:
+    from fringe3d.health import Fault, Kind
+
     return Fault(kind=Kind.MISSING_FILES, camera="", figure="", value=math.nan, limit=math.nan,
                  text=str(problem))  # fmt: skip
 

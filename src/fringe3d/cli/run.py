@@ -6,6 +6,7 @@ import signal
 import sys
 import warnings
 from contextlib import suppress
+from typing import NoReturn
 
 from cyclopts import CycloptsError
 
@@ -34,5 +35,13 @@ def main(arguments: list[str] | None = None) -> None:
         fail("expected images that fit into memory, found none free. Take smaller or fewer ones")
         sys.exit(2)
     except KeyboardInterrupt:
-        fail("interrupted; nothing was written")
-        sys.exit(130)
+        stop_interrupted()
+
+
+def stop_interrupted() -> NoReturn:
+    """Say that nothing was written; exit code 130."""
+    fail("interrupted; nothing was written")
+    # Where text was being executed, as in a dataclass's module, CPython remembers the interrupt and
+    # ends by the signal whatever follows; executing text again makes it forget.
+    exec("")
+    sys.exit(130)

@@ -6,13 +6,16 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from fringe3d.health.fault import Fault, Kind
 from fringe3d.health.sampling import LitMap, fitted
 from fringe3d.model import Fringe, GrayBit, ImageStack
 
-SATURATED_PART = 0.02
-"""Of the lit pixels: glints saturate less."""
+SATURATED_PART, SATURATED_PATCH, PATCH_OF_IMAGE = 0.02, 0.005, 64
+"""Of the lit pixels, scattered and in patches that hold a square of that part of the smaller side
+of the image: glints saturate less, and are smaller. A small object before a large table may lose
+all its bright side and yet be few pixels."""
 
 DARK_PART, DARK_PERCENTILE = 0.2, 98
 """Part of the grey values that the brightest 2 % of the lit pixels must reach."""
@@ -37,13 +40,18 @@ def check_exposure(stack: ImageStack, lit: LitMap, /) -> list[Fault]:
     used = [i for i, p in enumerate(stack.plan.patterns) if isinstance(p, Fringe)]
     used = used or list(range(stack.plan.n_images))
     high = stack.images[used].max(axis=0)
-    bright = (high[lit.lit] if lit.lit.any() else high).astype(np.float64)
+    seen = lit.lit if lit.lit.any() else np.ones_like(lit.lit)
+    bright = high[seen].astype(np.float64)
     where, name = f"camera '{stack.device_name}'", stack.device_name
-    saturated = float((bright >= stack.saturation_dn).mean())
-    if saturated > SATURATED_PART:
-        text = f"{where}: {saturated:.1%} of the lit pixels are saturated in the fringes"
+    saturated = seen & (high >= stack.saturation_dn)
+    part, patches = (float(s.sum() / seen.sum()) for s in (saturated, _patches(saturated)))
+    if part > SATURATED_PART or patches > SATURATED_PATCH:
+        value, limit, how = part, SATURATED_PART, ""
+        if part <= SATURATED_PART:
+            value, limit, how = patches, SATURATED_PATCH, ", in patches"
+        text = f"{where}: {value:.1%} of the lit pixels are saturated in the fringes{how}"
         return [Fault(kind=Kind.SATURATION, camera=name, figure="part of the lit pixels",
-                      value=saturated, limit=SATURATED_PART, text=text)]  # fmt: skip
+                      value=value, limit=limit, text=text)]  # fmt: skip
     top = float(np.percentile(bright, DARK_PERCENTILE)) - stack.black_level_dn
     part = top / stack.range_dn
     if part >= DARK_PART:
@@ -54,6 +62,12 @@ def check_exposure(stack: ImageStack, lit: LitMap, /) -> list[Fault]:
     )
     return [Fault(kind=Kind.TOO_DARK, camera=name, figure="part of the grey values",
                   value=part, limit=DARK_PART, text=text)]  # fmt: skip
+
+
+def _patches(where: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Keep what holds a square, and not only glints and noise."""
+    side = max(3, min(where.shape) // PATCH_OF_IMAGE)
+    return ndimage.binary_opening(where, np.ones((side, side), bool))
 
 
 @dataclass(frozen=True, slots=True)
