@@ -10,6 +10,7 @@ import json
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -19,8 +20,10 @@ from scipy import ndimage
 from changed_rigs import turned
 from closed_form import Recording, SphereScene, record_scene
 from fringe3d.cli import main
+from fringe3d.decode import fuse
 from fringe3d.diagnosis import diagnose
-from fringe3d.health import check_sequence, light_of, lit_map, steps_of
+from fringe3d.health import check_exposure, check_sequence, light_of, lit_map, steps_of
+from fringe3d.health.steadiness import displacement_px
 from fringe3d.io.images import read_image
 from fringe3d.io.scanfolder import write_scan
 from fringe3d.model import Fringe, GrayBit, ImageStack, MeasuringVolume, Pattern, Rig, Scan
@@ -209,3 +212,72 @@ def test_the_command_says_what_helps_and_draws_it(
     (fault,) = json.loads(capsys.readouterr().out)["faults"]
     assert fault["fault"] == "missing-files"
     assert "index 5 is missing" in fault["text"]
+
+
+def lit_by(light: np.ndarray, _index: int, image: np.ndarray) -> np.ndarray:
+    return np.asarray(image * light)
+
+
+@pytest.mark.parametrize("name", [None, "a lamp that flickers", "a gamma of the camera"])
+def test_a_series_of_exposures_is_judged_as_one(rig: Rig, name: str | None) -> None:
+    """Reflectance of 3 to 100 %, four exposures: every part is lit in one of them, and a fault
+    that all exposures share is named."""
+    one = replace(rig, cameras=rig.cameras[:1])
+    scan = record_scene(one, SphereScene(), seed=SEED, light_dark=True)[0]
+    stack = scan.stacks[0]
+    share = np.geomspace(0.03, 1, stack.shape[1])
+    change = SPOILT[name][0] if name else lambda stack: stack
+    exposures = [1.0, 3.0, 9.0, 27.0]
+    stacks = [change(grey(partial(lit_by, share * exposure))(stack)) for exposure in exposures]
+    fused = fuse(stacks, exposures)
+    lit = lit_map(fused).lit
+    # Where the scene is lit at all: the darkest columns as much as the brightest.
+    plain = lit_map(stack).lit
+    assert lit[plain].mean() > 0.9
+    expected = {None: [], "a lamp that flickers": ["flicker"], "a gamma of the camera": ["gamma"]}
+    found = [k.value for k in diagnose(Scan(stacks=(fused,))).kinds]
+    assert found == expected[name]
+
+
+def test_other_light_is_no_movement_and_movement_of_a_small_part_is(alone: Scan) -> None:
+    """Other light shades the surface otherwise than the projector does; the dark image shows it.
+    A part that moves by 0.5 px is told though all else stands still."""
+    (stack,) = alone.stacks
+    rows = np.linspace(0, 1, stack.shape[0])[:, None]
+    other = 12 * np.sin(rows * 20) ** 2
+    lit = grey(lambda _, g: np.minimum(g * 0.8 + other, 254))(stack)
+    assert displacement_px(lit, lit_map(lit)) == 0
+    part = np.zeros(stack.shape, bool)
+    part[80:180, 100:200] = True
+
+    def move(index: int, image: np.ndarray) -> np.ndarray:
+        moved = ndimage.shift(image, (0.0, 0.5), mode="nearest")
+        return np.where(part & (index >= 4), moved, image)
+
+    moved = grey(move)(lit)
+    assert displacement_px(moved, lit_map(moved)) == pytest.approx(0.5, abs=0.15)
+
+
+def test_a_small_bright_object_may_be_saturated_before_a_large_table(alone: Scan) -> None:
+    """One percent of the lit pixels in one piece is a loss; the same scattered are glints."""
+    (stack,) = alone.stacks
+    lit = np.argwhere(lit_map(stack).lit)
+    rng = np.random.default_rng(SEED)
+    middle = lit[len(lit) // 2]
+    patch = lit[np.argsort(np.abs(lit - middle).max(axis=1))[: len(lit) // 100]]
+    glints = lit[rng.choice(len(lit), len(lit) // 100, replace=False)]
+    for places, kinds in ((patch, ["saturation"]), (glints, [])):
+        images = stack.images.copy()
+        images[:, places[:, 0], places[:, 1]] = 255
+        found = check_exposure(replace(stack, images=images), lit_map(stack))
+        assert [fault.kind.value for fault in found] == kinds
+
+
+def test_a_table_outside_the_volume_accuses_nothing(recording: Recording) -> None:
+    """Of a volume that holds only the upper part of the sphere, nine pixels of ten see nothing."""
+    scan, _ = recording
+    assert scan.rig is not None
+    low = MeasuringVolume.box([-45, -45, 7], [45, 45, 70])
+    found = diagnose(replace(scan, rig=replace(scan.rig, volume=low)))
+    assert next(f.value for f in found.findings if f.name == "lost_part") > 0.8
+    assert found.faults == ()

@@ -17,6 +17,11 @@ LIT_OF_TYPICAL, LIT_OF_RANGE = 0.25, 0.03
 a pixel is lit."""
 
 TYPICAL_PERCENTILE = 95
+
+AT_THE_TOP = 0.998
+"""Of the range of one of several exposures: brighter is saturated in it; what is rounded stays
+above."""
+
 SAMPLE, LEAST_MODULATION_DN = 8_000, 0.5
 
 
@@ -26,7 +31,8 @@ class LitMap:
 
     Parameters
     ----------
-    low, high : (row, col) uint; the darkest and the brightest value of each pixel
+    low, high : (row, col) uint; the darkest and the brightest value of each pixel; where one
+        of several exposures is saturated, the saturation of all
     lit : (row, col) bool
     """
 
@@ -80,6 +86,12 @@ def lit_map(stack: ImageStack, /) -> LitMap:
     shown = stack.images[_shown(stack.plan)]
     low, high = shown.min(axis=0), shown.max(axis=0)
     span = (high - low).astype(np.float32)
+    if stack.fused is not None:
+        scale = stack.fused.scale
+        span /= scale  # as the exposure showed it that the pixel comes from
+        # Only the fringes choose the exposure: light and code may be saturated in it.
+        top = stack.black_level_dn + AT_THE_TOP * stack.range_dn * scale
+        high = np.where(high >= top, high.dtype.type(stack.saturation_dn), high)
     typical = float(np.percentile(span, TYPICAL_PERCENTILE))
     least = max(LIT_OF_TYPICAL * typical, LIT_OF_RANGE * stack.range_dn)
     return LitMap(low, high, span > least)

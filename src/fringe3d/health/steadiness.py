@@ -165,7 +165,9 @@ def displacement_px(stack: ImageStack, lit: LitMap, /) -> float:
     late = stack.images[index].astype(np.float32)
     if dark >= 0:
         early, late = (image - stack.images[dark] for image in (early, late))
-    usable = ndimage.binary_erosion(lit.lit & (lit.high < stack.saturation_dn), iterations=2)
+    reach = int(np.ceil(3 * SMOOTH_PX))  # smoothing carries so far what is cut off
+    cut_off = ndimage.binary_dilation(lit.high >= stack.saturation_dn, iterations=reach)
+    usable = ndimage.binary_erosion(lit.lit, iterations=2) & ~cut_off
     early, late = (ndimage.gaussian_filter(image, SMOOTH_PX) for image in (early, late))
     slope = tuple(np.gradient(early))
     moved = [

@@ -24,6 +24,7 @@ from fringe3d.model.rejection import count_by_reason
 from fringe3d.pipeline import Measurement, MeasureOptions, point_cloud
 from fringe3d.report.overview import write_overview
 from fringe3d.report.point_sigma import calibration_sigma_mm
+from fringe3d.report.saturation import saturated_images
 from fringe3d.report.self_calibration import self_calibration_record
 from fringe3d.self_calibration import SelfCalibrated
 
@@ -76,7 +77,7 @@ def write_result(
             center = _camera_center(scan, result)
             doubt = calibration_sigma_mm(scan, result)
             more = {} if doubt is None else {CALIBRATION_SIGMA: doubt}
-            maps = point_maps(result) | _exposure_map(scan, result)
+            maps = point_maps(result) | _light_maps(scan, result)
             write_points(folder / "points.npz", maps, camera_center_mm=center, **more)
             columns = {name: sigma[result.points.is_valid] for name, sigma in more.items()}
             write_ply(folder / "cloud.ply", point_cloud(result), viewpoint_mm=center,
@@ -90,15 +91,17 @@ def write_result(
 
 def stored_result(scan: Scan, options: MeasureOptions, result: Measurement, /) -> StoredResult:
     """Return a result with points as it would be read back, without writing it."""
-    maps = point_maps(result)
+    maps = point_maps(result) | _light_maps(scan, result)
     record = toml_plain(measure_record(scan, options, result))
     return StoredResult(folder=Path("result"), record=record, maps=maps, rig=scan.rig)
 
 
-def _exposure_map(scan: Scan, result: Measurement) -> dict[str, NDArray[Any]]:
-    """Return from which exposure each pixel of C1 comes, where there are several."""
+def _light_maps(scan: Scan, result: Measurement) -> dict[str, NDArray[Any]]:
+    """Return where fringe images are saturated, and from which of several exposures C1's pixels
+    come."""
     stack = next(s for s in scan.stacks if s.device_name == result.main.device_name)
-    return {} if stack.fused is None else {"exposure": stack.fused.exposure}
+    maps: dict[str, NDArray[Any]] = {"saturated_images": saturated_images(stack)}
+    return maps if stack.fused is None else maps | {"exposure": stack.fused.exposure}
 
 
 def point_maps(result: Measurement, /) -> dict[str, NDArray[Any]]:

@@ -111,6 +111,12 @@ def _pictures(stored: StoredResult) -> list[tuple[str, str]]:
         ("Image", colour_map("mean brightness of C1, DN", maps["offset"], "gray")),
         ("Fringe contrast", colour_map("modulation, DN", maps["modulation"], "magma")),
     ]
+    saturated = maps.get("saturated_images", np.zeros(1))
+    if saturated.any():
+        shown = np.where(saturated > 0, saturated, np.nan)  # a single one stays seen
+        drawn.append(("Saturation", colour_map("saturated fringe images", shown, "autumn_r")))
+    if "exposure" in maps:
+        drawn.append(("Exposure", _exposure_map(maps["exposure"])))
     probability = maps["order_probability"]
     if np.nanmin(probability, initial=1.0) < CERTAIN:
         drawn.append(("Order probability", colour_map("of the fringe order", probability, "plasma",
@@ -119,6 +125,15 @@ def _pictures(stored: StoredResult) -> list[tuple[str, str]]:
         residual = maps["epipolar_residual_px"]
         drawn.append(("Epipolar residual", colour_map("px", residual, "RdBu_r")))
     return [(caption, _picture(draw, window)) for caption, draw in drawn]
+
+
+def _exposure_map(exposure: NDArray[Any]) -> Drawer:
+    """Draw from which exposure each pixel comes: steps of equal size, whatever their amounts."""
+    amounts, number = np.unique(exposure, return_inverse=True)
+    ticks = {float(i): f"{amount:g}" for i, amount in enumerate(amounts)}
+    number = number.reshape(exposure.shape).astype(np.float32)
+    return colour_map("exposure that the pixel comes from", number, "cividis",
+                      limits=(-0.5, len(amounts) - 0.5), ticks=ticks)  # fmt: skip
 
 
 def _picture(draw: Drawer, window: Window) -> str:
