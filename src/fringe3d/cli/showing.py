@@ -112,9 +112,9 @@ def view(
     live = LiveView([stored for stored, _ in found], host=host, port=port, most_points=points,
                     phases=lambda stored: next(f() for s, f in found if s is stored))  # fmt: skip
     shown = [str(result) for result in results]
-    say(f"{live.address} shows {', '.join(shown)}; Ctrl-C ends it",
-        {"address": live.address, "results": shown}, as_json=as_json)  # fmt: skip
     try:
+        say(f"{live.address} shows {', '.join(shown)}; Ctrl-C ends it",
+            {"address": live.address, "results": shown}, as_json=as_json)  # fmt: skip
         live.server.sleep_forever()
     except KeyboardInterrupt:
         live.server.stop()
