@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from fringe3d.calibrate import (
+    Homologous,
     contradiction,
     expected_contradiction,
     moved_text,
@@ -108,16 +109,12 @@ def _moved(
     level: Level,
 ) -> list[Finding]:
     """Say which device moved; nothing below the limit."""
-    maps = [direction.main for direction in phases[0].directions]
-    pairs = zip(phases[1].directions, maps, strict=True)
-    sparse = [_sparse(m) for m in maps]
-    free = freely_matched(sparse, [d.like(m) for d, m in pairs], devices)
-    points = [homologous_of(phases[:2], free or matches, devices)]
     try:
-        if contradiction(points, devices) < limit_px:
+        few, _ = _searched_freely(phases, matches, devices, FEW_POINTS)
+        if contradiction([few], devices) < limit_px:
             return []
-        moved = which_moved(points, devices)
-        moved = replace(moved, is_free=free is not None and len(maps) > 1)
+        points, is_free = _searched_freely(phases, matches, devices, SPARSE_POINTS)
+        moved = replace(which_moved([points], devices), is_free=is_free)
     except EmptyResultError:
         return []
     if moved.residual_px < EPIPOLAR_WARNING_PX and not moved.is_of_poses:
@@ -127,9 +124,25 @@ def _moved(
     return [Finding(level, "moved_px", moved.residual_px, f"{moved_text(moved)}. {advice}")]
 
 
-def _sparse(phases: PhaseMap) -> PhaseMap:
-    """Return the phases of about `SPARSE_POINTS` pixels on a grid."""
-    step = max(1, round(np.sqrt(phases.rejection.size / SPARSE_POINTS)))
+def _searched_freely(
+    phases: Sequence[CameraPhases],
+    matches: Correspondences,
+    devices: Sequence[Device],
+    n_pixels: int,
+) -> tuple[Homologous, bool]:
+    """Return the points of about so many pixels, searched without projector and volume where a code
+    allows it, and whether two directions found them so."""
+    maps = [direction.main for direction in phases[0].directions]
+    pairs = zip(phases[1].directions, maps, strict=True)
+    sparse = [_sparse(m, n_pixels) for m in maps]
+    free = freely_matched(sparse, [d.like(m) for d, m in pairs], devices)
+    points = homologous_of(phases[:2], free or matches, devices)
+    return points, free is not None and len(maps) > 1
+
+
+def _sparse(phases: PhaseMap, n_pixels: int) -> PhaseMap:
+    """Return the phases of about so many pixels on a grid."""
+    step = max(1, round(np.sqrt(phases.rejection.size / n_pixels)))
     left_out = np.full(phases.rejection.shape, np.uint16(Rejection.NO_MATCH))
     left_out[::step, ::step] = 0
     return phases.rejecting(left_out)

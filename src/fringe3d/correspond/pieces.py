@@ -5,14 +5,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
+
+from fringe3d.correspond import _whole
+from fringe3d.kernels import over_rows
 
 Bools = NDArray[np.bool_]
 Ints = NDArray[np.int64]
-
-NEIGHBOURS = (np.s_[:-1, :], np.s_[1:, :]), (np.s_[:, :-1], np.s_[:, 1:])
-"""The upper and lower, and the left and right of two neighbours."""
 
 LEAST_SELF_SEAM = 8
 """Pixels of smooth phase across which one and the same part jumps by whole orders."""
@@ -46,19 +44,15 @@ def cut_apart(parts: Ints, higher: Ints, is_smooth: Bools, /) -> Ints:
     >>> [int(n) for n in np.bincount(cut_apart(parts, higher, smooth).ravel())]
     [192, 180]
     """
-    same = np.zeros_like(is_smooth)
-    for axis, (here, there) in enumerate(NEIGHBOURS):
-        same[axis][here] = (parts[here] == parts[there]) & (parts[here] >= 0)
-    jumps = same & is_smooth & (higher != 0)
-    length = np.zeros(int(parts.max(initial=-1)) + 2, np.int64)  # the last one is for no part
-    for jump in jumps:
-        length += np.bincount(parts[jump], minlength=len(length))
-    torn = (length >= LEAST_SELF_SEAM)[parts]
-    if not torn.any():
+    length = np.empty(int(parts.max(initial=-1)) + 1, np.int64)
+    _whole.count_jumps(parts, higher, is_smooth, length)
+    is_torn = length >= LEAST_SELF_SEAM
+    if not is_torn.any():
         return parts
-    bonds = same & is_smooth & (higher == 0) & torn
-    core = _core(bonds)
-    piece = _grown(_components(bonds, core), bonds)
+    bonds = np.empty_like(is_smooth)
+    over_rows(_whole.write_bonds, len(parts), parts, higher, is_smooth, is_torn, bonds)
+    torn = np.append(is_torn, False)[parts]  # the last one is for no part
+    piece = _grown(_components(bonds, _core(bonds)), bonds)
     rest = _components(bonds, torn & (piece < 0))
     whole = np.where(torn, np.where(piece < 0, rest + piece.max(initial=-1) + 1, piece), parts)
     whole[torn] += len(length)
@@ -78,25 +72,15 @@ def _core(bonds: Bools) -> Bools:
 
 def _components(bonds: Bools, where: Bools) -> Ints:
     """Return the number of the component of each pixel of some, (row, col), -1 for others."""
-    number = np.full(where.shape, -1, np.int64)
-    n = int(where.sum())
-    number[where] = np.arange(n)
-    ends = []
-    for axis, (here, there) in enumerate(NEIGHBOURS):
-        joined = bonds[axis][here] & where[here] & where[there]
-        ends.append((number[here][joined], number[there][joined]))
-    first, second = np.concatenate(ends, axis=1)
-    graph = coo_array((np.ones(len(first), bool), (first, second)), shape=(n, n))
-    number[where] = connected_components(graph, directed=False)[1]
+    number = np.empty(where.shape, np.int64)
+    _whole.join_bonded(bonds, where, number)
     return number
 
 
 def _grown(piece: Ints, bonds: Bools) -> Ints:
     """Give pixels without a piece that of a bonded neighbour, as far as cores shrank."""
     for _ in range(2 * CORE_PX):
-        for axis, (here, there) in enumerate(NEIGHBOURS):
-            former = piece.copy()
-            for one, other in ((here, there), (there, here)):
-                gains = bonds[axis][here] & (former[one] < 0) & (former[other] >= 0)
-                piece[one][gains] = former[other][gains]
+        for axis in range(2):
+            former, piece = piece, np.empty_like(piece)
+            over_rows(_whole.grow, len(piece), bonds, axis, former, piece)
     return piece

@@ -5,16 +5,15 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import breadth_first_order, connected_components, minimum_spanning_tree
 
-from fringe3d.correspond import _orders
+from fringe3d.correspond import _orders, _whole
 from fringe3d.correspond.bias import PATCH_PX
 from fringe3d.correspond.choice import Choice
 from fringe3d.correspond.occlusion import hidden_from
-from fringe3d.correspond.pieces import NEIGHBOURS, cut_apart
-from fringe3d.correspond.surfaces import absolute_turns, surfaces
+from fringe3d.correspond.pieces import cut_apart
+from fringe3d.correspond.surfaces import surfaces
 from fringe3d.correspond.weighing import CLEAR, LARGEST_EXTRA, TWO_PI, Task
+from fringe3d.kernels import over_rows
 from fringe3d.model import NO_ORDER
 
 Bools = NDArray[np.bool_]
@@ -70,7 +69,7 @@ def made_whole(task: Task, chosen: Choice, /, *, doubts: bool = True) -> Choice:
     known = chosen.order != NO_ORDER
     if not known.any():
         return chosen
-    higher = _jumps(task, chosen.order, known)
+    higher = _higher(task, chosen.order, known)
     parts = _parts(task, chosen.order, known)
     pieces = cut_apart(parts, higher, task.rises[1])
     part = pieces[task.valid][known]
@@ -134,29 +133,17 @@ def _healed(task: Task, chosen: Choice, wanted: Choice, of: Ints) -> NDArray[np.
     number, is_known = np.full(task.valid.shape, -1), np.zeros(task.valid.shape, bool)
     number[task.valid], is_known[task.valid] = of, known
     number = _filled(number, is_known)
-    former, later = (_jumps(task, which.order, known) for which in (chosen, wanted))
-    gain, border = np.zeros((2, int(of.max()) + 1))
-    for axis, (here, there) in enumerate(NEIGHBOURS):
-        smooth, ends = task.rises[1][axis][here], (number[here], number[there])
-        better = np.where(smooth, (former[axis][here] != 0) * 1.0 - (later[axis][here] != 0), 0.0)
-        inner = smooth & (former[axis][here] == 0) & (later[axis][here] == 0)
-        is_border = (ends[0] != ends[1]) & ~inner
-        for end in ends:
-            edge = (end >= 0) & is_border
-            gain += np.bincount(end[edge], better[edge], minlength=len(gain))
-            border += np.bincount(end[edge], minlength=len(gain))
-    return gain / np.maximum(border, 1)
+    former, later = (_higher(task, which.order, known) for which in (chosen, wanted))
+    gain, border = np.empty((2, int(of.max()) + 1), np.int64)
+    _whole.heal(number, task.rises[1], former, later, gain, border)
+    return np.asarray(gain / np.maximum(border, 1))
 
 
 def _filled(number: Ints, is_known: Bools) -> Ints:
     """Give holes the number, (row, col), that is all around them; other gaps keep theirs."""
     gaps, n = ndimage.label(~is_known, np.ones((3, 3)))
     low, high = np.full(n + 1, np.iinfo(np.int64).max), np.full(n + 1, -1)
-    for here, there in NEIGHBOURS:
-        for one, other in ((here, there), (there, here)):
-            edge = (gaps[one] > 0) & is_known[other]
-            np.minimum.at(low, gaps[one][edge], number[other][edge])
-            np.maximum.at(high, gaps[one][edge], number[other][edge])
+    _whole.bound_gaps(gaps, number, is_known, low, high)
     is_hole = low == high
     return np.where(is_hole[gaps], low[gaps], number)
 
@@ -191,70 +178,45 @@ def _parts(task: Task, order: NDArray[np.int32], known: Bools) -> Ints:
     return parts
 
 
-def _jumps(task: Task, order: NDArray[np.int32], known: Bools) -> Ints:
+def _higher(task: Task, order: NDArray[np.int32], known: Bools) -> NDArray[np.int32]:
     """Return by how many orders the next row and column are higher than the phase goes on to,
     (2, row, col); 0 where nothing is known."""
-    turns = absolute_turns(task, order, known)
-    higher = np.zeros((2, *turns.shape), np.int64)
-    for axis, (here, there) in enumerate(NEIGHBOURS):
-        rise = task.rises[0][axis][here]
-        apart = np.rint(turns[there] - turns[here] - rise / TWO_PI)
-        higher[axis][here] = np.nan_to_num(apart, nan=0.0)
+    turns = np.where(known, order + task.first[0] / TWO_PI, np.nan)
+    higher = np.empty((2, *task.valid.shape), np.int32)
+    over_rows(_whole.write_higher, len(task.index), task.index, turns, task.rises[0], higher)
     return higher
 
 
 def _seams(
-    pieces: Ints, parts: Ints, higher: Ints, is_smooth: Bools
+    pieces: Ints, parts: Ints, higher: NDArray[np.int32], is_smooth: Bools
 ) -> tuple[Ints, Ints, Ints, Ints]:
     """Return pairs of pieces with a smooth border, how many orders the second one is higher than
     the first would continue into it, and the weight of the border, px; (n,) each, a pair once."""
-    found = []
-    for axis, (here, there) in enumerate(NEIGHBOURS):
-        border = (pieces[here] >= 0) & (pieces[there] >= 0) & (pieces[here] != pieces[there])
-        first, second = pieces[here][border], pieces[there][border]
-        jump = higher[axis][here][border] * np.where(first < second, 1, -1)
-        within = (parts[here] == parts[there])[border]
-        smooth = is_smooth[axis][here][border]
-        found.append(np.stack([np.minimum(first, second), np.maximum(first, second), jump,
-                               smooth, smooth & within & (jump == 0)]))  # fmt: skip
-    first, second, jump, smooth, bond = np.concatenate(found, axis=1)
-    pairs, pair = np.unique(np.stack([first, second]), axis=1, return_inverse=True)
-    in_all = np.bincount(pair.ravel())
-    kinds, length = np.unique(
-        np.stack([pair.ravel(), jump, bond])[:, smooth == 1], axis=1, return_counts=True
-    )
-    long = (length >= LEAST_SEAM) & (length > SEAM_PART * in_all[kinds[0]])
-    weight = length * np.where(kinds[2], BOND, 1)
-    taken = np.flatnonzero(long | (kinds[2] == 1))
+    n = int(pieces.max(initial=0)) + 1
+    borders = _whole.list_borders(pieces, parts, higher, is_smooth, n)
+    kinds, length = np.unique(borders, return_counts=True)
+    smooth, bond = kinds & 2 > 0, kinds & 1 > 0
+    pair, jump = np.divmod(kinds >> 2, 2 * _whole.MOST_JUMP)
+    pairs, place = np.unique(pair, return_inverse=True)
+    long = (length >= LEAST_SEAM) & (length > SEAM_PART * np.bincount(place, length)[place])
+    weight = length * np.where(bond, BOND, 1)
+    taken = np.flatnonzero(smooth & (long | bond))
     taken = taken[np.argsort(-weight[taken], kind="stable")]
     # Pieces of one part may have a seam and a bond between them: the heavier one holds.
-    taken = taken[np.unique(kinds[0, taken], return_index=True)[1]]
-    first, second = pairs[:, kinds[0, taken]]
-    return first, second, kinds[1, taken], weight[taken]
+    taken = taken[np.unique(pair[taken], return_index=True)[1]]
+    first, second = np.divmod(pair[taken], n)
+    return first, second, jump[taken] - _whole.MOST_JUMP, weight[taken]
 
 
 def _levels(first: Ints, second: Ints, higher: Ints, length: Ints, n: int) -> tuple[Ints, Ints]:
     """Return the surface of each of n parts, and by how many orders it is off the surface's first.
 
-    Where borders contradict each other the longest hold: they make up the spanning tree.
+    Where borders contradict each other the longest hold.
     """
-    ends = (first, second)
-    tree = minimum_spanning_tree(coo_array((1.0 / length, ends), shape=(n, n)))
-    _, whole = connected_components(tree, directed=False)
-    steps = coo_array((higher, ends), shape=(n, n)).tocsr()
-    steps = steps - steps.T
-    # One more node holds all surfaces together.
-    roots = np.unique(whole, return_index=True)[1]
-    edges = tree.tocoo()
-    start = np.concatenate([edges.row, np.full(len(roots), n)])
-    end = np.concatenate([edges.col, roots])
-    graph = coo_array((np.ones(len(start)), (start, end)), shape=(n + 1, n + 1)).tocsr()
-    order, former = breadth_first_order(graph, n, directed=False)
-    level = np.zeros(n, np.int64)
-    for node in order[1:]:
-        if former[node] != n:
-            level[node] = level[former[node]] + steps[former[node], node]
-    return np.asarray(whole, np.int64), level
+    longest = np.argsort(-length, kind="stable")
+    whole, level = np.empty((2, n), np.int64)
+    _whole.hold_together(first[longest], second[longest], higher[longest], whole, level)
+    return whole, level
 
 
 def _elected(
@@ -264,8 +226,10 @@ def _elected(
 
     Parts stay on their level, and nothing is shared, where too few pixels are clear.
     """
-    kinds, kind = np.unique(np.stack([whole, level]), axis=1, return_inverse=True)
-    votes_of = np.bincount(kind.ravel(), votes)
+    n_levels = int(np.ptp(level)) + 1
+    kinds, kind = np.unique(whole * n_levels + level - level.min(), return_inverse=True)
+    kinds = np.stack(np.divmod(kinds, n_levels)) + np.array([[0], [level.min()]])
+    votes_of = np.bincount(kind, votes)
     order = np.argsort(votes_of, kind="stable")
     wanted = np.zeros(int(whole.max()) + 1, np.int64)
     most = np.zeros(len(wanted))
