@@ -11,6 +11,37 @@ CELLS = 8
 """For each pixel of the device: its edges of surfaces are known to a tenth of a pixel."""
 
 
+@njit(cache=True, nogil=True, error_model="numpy")
+def write_sights(directions, depths, to_c1, baseline, focal, place, distance, rows):  # type: ignore[no-untyped-def]
+    """Write where a device sees points, px along its epipolar lines, and how far away, mm.
+
+    directions (row, col, 3): of the rays of C1, depths (row, col): mm along them, NaN for none;
+    to_c1 (3,): mm, from the device to C1; baseline (3,): unit vector; focal: px; rows: first and
+    last but one.
+    """
+    for row in range(rows[0], rows[1]):
+        for col in range(depths.shape[1]):
+            square, along = 0.0, 0.0
+            for axis in range(3):
+                away = to_c1[axis] + depths[row, col] * directions[row, col, axis]
+                square += away * away
+                along += away * baseline[axis]
+            distance[row, col] = math.sqrt(square)
+            place[row, col] = focal * math.acos(along / distance[row, col])
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def look_up(line, behind, found, rows):  # type: ignore[no-untyped-def]
+    """Write what was found on the line that is nearest to each pixel, (row, col).
+
+    line (row, col): its number; behind (n_lines, col); rows: first and last but one.
+    """
+    for row in range(rows[0], rows[1]):
+        for col in range(line.shape[1]):
+            k = 0 if math.isnan(line[row, col]) else int(np.rint(line[row, col]))
+            found[row, col] = behind[k, col]
+
+
 @njit(cache=True, error_model="numpy")
 def _sample(k, line, place, distance, join_mm, along, across):  # type: ignore[no-untyped-def]
     """Sample one line, number k: where the device sees its points, and how far away they are."""
@@ -92,21 +123,23 @@ def _way_behind(at, own, first, nearest, margin_px):  # type: ignore[no-untyped-
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def find_behind(line, place, distance, join_mm, margin_px, behind, lines):  # type: ignore[no-untyped-def]
+def find_behind(  # type: ignore[no-untyped-def]
+    line, place, distance, ends, join_mm, margin_px, behind, lines
+):
     """Find how far the surface at each sample lies behind another, or another part of itself.
 
     line (row, col): number of the epipolar line, rising with the row; place, distance (row, col):
     where along its line the device sees the surface, px, rising with the column where it faces
-    the device, and how far from the device it is, mm; NaN where there is none. Neighbours are
-    joined where their distances differ by less than join_mm. Writes behind (n_lines, col), mm:
-    infinite where the surface faces away from the device. lines: first and last but one.
+    the device, and how far from the device it is, mm; NaN where there is none; ends: least and
+        largest place. Neighbours are joined where their distances differ by less than join_mm. Writes
+    behind (n_lines, col), mm: infinite where the surface faces away from the device. lines: first
+    and last but one.
     """
-    first = np.floor(np.nanmin(place)) - 1
-    n_cells = int((np.ceil(np.nanmax(place)) + 1 - first) * CELLS) + 1
+    first = np.floor(ends[0]) - 1
+    n_cells = int((np.ceil(ends[1]) + 1 - first) * CELLS) + 1
     n_cols = behind.shape[1]
+    along, across, nearest = np.empty(n_cols), np.empty(n_cols), np.empty(n_cells)
     for k in range(lines[0], lines[1]):
-        along, across = np.empty(n_cols), np.empty(n_cols)
-        nearest = np.empty(n_cells)
         _sample(k, line, place, distance, join_mm, along, across)
         _enter(along, across, join_mm, first, nearest)
         for i in range(n_cols):

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fringe3d.correspond._occlusion import find_behind
+from fringe3d.correspond import _occlusion
 from fringe3d.geometry import grid_rays
 from fringe3d.kernels import over_rows
 from fringe3d.model import Device
@@ -23,6 +24,9 @@ BEHIND_SIGMA = 4.0
 
 SAMPLE = 8
 """Every eighth pixel of both directions tells how far apart neighbours are."""
+
+PAIRS_KEPT = 4
+"""Devices and cameras whose epipolar lines are kept, 8 bytes a pixel."""
 
 STEEPEST = 5.0
 """Slope, 79 degrees, by which a point's own surface may come nearer within the margin."""
@@ -65,10 +69,9 @@ def hidden_from(
     if min(depths_mm.shape) < 2 or not np.isfinite(depths_mm).any():
         return np.zeros(depths_mm.shape, bool)
     noise = BEHIND_SIGMA * np.sqrt(2) * noise_mm
-    _, directions = grid_rays(camera1)
     hidden = np.zeros(depths_mm.shape, bool)
     for device in devices:
-        lines = _Lines(device, camera1, directions, depths_mm)
+        lines = _Lines(device, camera1, depths_mm)
         hidden |= lines.behind_mm(0.0) > noise
         if margin_px > 0:
             hidden |= lines.behind_mm(margin_px) > noise + margin_px * STEEPEST * lines.pitch_mm
@@ -78,36 +81,45 @@ def hidden_from(
 class _Lines:
     """A surface on the epipolar lines of C1 and a device."""
 
-    def __init__(
-        self, device: Device, camera1: Device, directions: Floats, depths_mm: Floats
-    ) -> None:
-        line, angle = _epipolar_angles(device, camera1, directions)
-        to_c1 = camera1.center_world - device.center_world
-        away = to_c1 + depths_mm[..., None] * directions
-        distance = np.sqrt(np.einsum("...i,...i", away, away))
-        focal = float(device.focal_px.mean())
-        place = focal * np.arccos(away @ _baseline(device, camera1) / distance)
+    def __init__(self, device: Device, camera1: Device, depths_mm: Floats) -> None:
+        self._turned, self._number, self._n_lines = _numbered_lines(device, camera1)
+        place, distance = np.empty((2, *depths_mm.shape))
+        to_c1, focal = camera1.center_world - device.center_world, float(device.focal_px.mean())
+        _, directions = grid_rays(camera1)
+        over_rows(_occlusion.write_sights, len(place), directions, depths_mm, to_c1,
+                  _baseline(device, camera1), focal, place, distance)  # fmt: skip
         self.pitch_mm = distance / focal
-        self._turned = _orientation(line, angle)
         self._place, self._distance = (
             np.ascontiguousarray(self._turned(image)) for image in (place, distance)
         )
-        number = self._turned(line)
-        number = (number - np.nanmin(number)) / _median_step(number, 0)
-        self._number = np.ascontiguousarray(number)
+        self._ends = float(np.nanmin(place)), float(np.nanmax(place))
         known = depths_mm[np.isfinite(depths_mm)][::SAMPLE]
         self._join_mm = JOINED * float(np.median(known) / camera1.focal_px.mean())
 
     def behind_mm(self, margin_px: float) -> Floats:
         """Return how far each point lies behind what the device sees there, (row, col)."""
-        n_cols = self._number.shape[1]
-        behind = np.empty((int(np.nanmax(self._number)) + 2, n_cols))
-        over_rows(find_behind, len(behind), self._number, self._place, self._distance,
-                  self._join_mm, margin_px, behind)  # fmt: skip
-        nearest = np.rint(np.nan_to_num(self._number)).astype(np.int64)
-        found = np.empty(self.pitch_mm.shape)
-        self._turned(found)[:] = behind[nearest, np.arange(n_cols)]
-        return found
+        behind = np.empty((self._n_lines, self._number.shape[1]))
+        over_rows(_occlusion.find_behind, len(behind), self._number, self._place, self._distance,
+                  self._ends, self._join_mm, margin_px, behind)  # fmt: skip
+        found = np.empty(self._number.shape)
+        over_rows(_occlusion.look_up, len(found), self._number, behind, found)
+        image = np.empty(self.pitch_mm.shape)
+        self._turned(image)[:] = found
+        return image
+
+
+@lru_cache(maxsize=PAIRS_KEPT)
+def _numbered_lines(
+    device: Device, camera1: Device
+) -> tuple[Callable[[Floats], Floats], Floats, int]:
+    """Return a view of images in which the number of the epipolar line rises with the row and the
+    ray's angle with the baseline with the column, that number, (row, col), and how many there are.
+    """
+    line, angle = _epipolar_angles(device, camera1, grid_rays(camera1)[1])
+    turned = _orientation(line, angle)
+    number = turned(line)
+    number = (number - np.nanmin(number)) / _median_step(number, 0)
+    return turned, np.ascontiguousarray(number), int(np.nanmax(number)) + 2
 
 
 def _baseline(device: Device, camera1: Device) -> Floats:
