@@ -12,7 +12,10 @@ from contextlib import suppress
 from functools import cache
 from pathlib import Path
 from threading import Lock
-from typing import Any
+from typing import Any, ParamSpec, TypeVar
+
+P = ParamSpec("P")
+T = TypeVar("T")
 
 STAMP = "kernels.sha256"
 MARK = b"njit"
@@ -132,7 +135,37 @@ def over_rows(
     others = [_threads().submit(work) for _ in range(n_threads - 1)]
     work()
     for other in others:
-        other.result()
+        if not other.cancel():  # it may wait behind others, with nothing left to do
+            other.result()
+
+
+def alongside(function: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> Callable[[], T]:
+    """Begin a call in a thread of its own, and return what waits for its result.
+
+    The call takes one thread; where there is but one it is made at once.
+
+    Parameters
+    ----------
+    function : callable
+    args, kwargs : of the function
+
+    Examples
+    --------
+    >>> wait = alongside(sum, [1, 2])
+    >>> wait()
+    3
+    """
+    from numba import get_num_threads, set_num_threads
+
+    if get_num_threads() == 1:
+        found = function(*args, **kwargs)
+        return lambda: found
+
+    def alone() -> T:
+        set_num_threads(1)
+        return function(*args, **kwargs)
+
+    return _threads().submit(alone).result
 
 
 @cache  # forgotten in a forked process, which has none of them

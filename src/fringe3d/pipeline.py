@@ -36,6 +36,7 @@ from fringe3d.health import (
     check_twins,
     check_yield,
 )
+from fringe3d.kernels import alongside
 from fringe3d.matching import Matched, best_direction_first, match
 from fringe3d.methods import choose_method, images_of, settle
 from fringe3d.model import (
@@ -51,7 +52,7 @@ from fringe3d.model import (
     Scan,
 )
 from fringe3d.model.html import picture, table
-from fringe3d.model.rejection import Rejection, count_by_reason
+from fringe3d.model.rejection import count_by_reason
 from fringe3d.options import MeasureOptions, keep_images, volume_of
 from fringe3d.segments import angles_without_code
 from fringe3d.triangulate import (
@@ -167,7 +168,7 @@ def measure(
 
     with clock("decoding"):
         stacks, phases = _decoded(stacks, scan.rig, choice.method, options)
-        findings = check_files(stacks) + check_phases(phases)
+        of_images = alongside(_check_images, stacks, phases)
         phases = _filtered(phases, options)
         if scan.rig is not None and choice.method != "projector":
             phases = best_direction_first(phases, *_devices(scan.rig, stacks, choice.method))
@@ -178,10 +179,9 @@ def measure(
         why=choice.why,
         n_images=stacks[0].plan.n_images,
         phases=phases,
-        findings=tuple(findings),
     )
     if scan.rig is None:
-        return _finish(result, clock)
+        return _finish(replace(result, findings=tuple(of_images())), clock)
 
     _require_previous(previous_mm, main, choice.method)
     camera, other = _devices(scan.rig, stacks, choice.method)
@@ -191,18 +191,19 @@ def measure(
                         options=options, bias=rig.bias, previous_mm=previous_mm,
                         cameras=_further_cameras(rig, stacks))  # fmt: skip
         matches = matched.matches
-        findings += _check_orders(matched, main, rig, volume, choice.method)
+        findings = _check_orders(matched, main, rig, volume, choice.method)
         if previous_mm is not None and projector is not None:
             findings += check_previous(matches, main, projector, previous_mm)
     with clock("triangulating"):
+        of_texture = alongside(_check_texture, matches, phases, camera, other)
         points = triangulate(
             matches, camera, other, volume=volume, max_epipolar_px=_epipolar_limit(matches),
             known=matched.known,
         )  # fmt: skip
     with clock("checking"):
-        findings += check_epipolar(matches) + check_yield(points)
-        if other.role == "camera":
-            findings += _check_cameras(findings, phases, matches, points, (camera, other), rig)
+        findings = [*of_images(), *findings, *check_epipolar(matches), *check_yield(points)]
+        findings += of_texture()
+        findings += _check_devices(findings, phases, matches, points, (camera, other), rig)
         points = _clean(points, options, main)
         if main.is_quantised:
             points = remove_repeated(points, matches)
@@ -214,18 +215,12 @@ def measure(
 def _decoded(
     stacks: list[ImageStack], rig: Rig | None, method: str, options: MeasureOptions
 ) -> tuple[list[ImageStack], tuple[CameraPhases, ...]]:
-    """Decode all cameras, and once more without saturated steps those that have some."""
-    used, phases = [], []
-    for given in stacks:
-        own = options.own_response
-        stack = given.with_response(response_from_fringes(given)) if own else given
-        found = _decode(stack, rig, method, options)
-        maps = [w.rejection for direction in found.directions for w in direction.wrapped]
-        is_saturated = any((m & np.uint16(Rejection.SATURATED)).any() for m in maps)
-        rest = without_saturated(stack) if is_saturated else stack
-        used.append(rest)
-        phases.append(found if rest is stack else _decode(rest, rig, method, options))
-    return used, tuple(phases)
+    """Decode all cameras, without saturated steps where enough others are left."""
+    used = [
+        without_saturated(s.with_response(response_from_fringes(s)) if options.own_response else s)
+        for s in stacks
+    ]
+    return used, tuple(_decode(stack, rig, method, options) for stack in used)
 
 
 def _filtered(
@@ -237,7 +232,22 @@ def _filtered(
     )
 
 
-def _check_cameras(
+def _check_images(
+    stacks: Sequence[ImageStack], phases: Sequence[CameraPhases]
+) -> Sequence[Finding]:
+    return [*check_files(stacks), *check_phases(phases)]
+
+
+def _check_texture(
+    matches: Correspondences, phases: Sequence[CameraPhases], camera: Device, other: Device
+) -> Sequence[Finding]:
+    if other.role != "camera":
+        return []
+    main = phases[0].directions[0].main
+    return check_texture(matches, main, phases[1].directions[0].like(main), camera, other)
+
+
+def _check_devices(
     before: Sequence[Finding],
     phases: Sequence[CameraPhases],
     matches: Correspondences,
@@ -245,15 +255,12 @@ def _check_cameras(
     cameras: tuple[Device, Device],
     rig: Rig,
 ) -> list[Finding]:
-    """Check what two cameras, and the projector, say of each other; `before`: findings so far."""
-    main = phases[0].directions[0].main
-    main2 = phases[1].directions[0].like(main)
-    found = check_texture(matches, main, main2, *cameras)
-    if rig.projector is not None:
-        found += check_trinocular(points, main, rig.projector)
-        devices = (*cameras, rig.projector)
-        found += check_moved([*before, *found], phases, matches, devices, rig.covariance)
-    return found
+    """Check what cameras and projector say of each other; `before`: findings so far."""
+    if cameras[1].role != "camera" or rig.projector is None:
+        return []
+    found = check_trinocular(points, phases[0].directions[0].main, rig.projector)
+    devices = (*cameras, rig.projector)
+    return [*found, *check_moved([*before, *found], phases, matches, devices, rig.covariance)]
 
 
 def _check_orders(

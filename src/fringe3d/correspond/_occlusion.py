@@ -131,7 +131,7 @@ def find_behind(  # type: ignore[no-untyped-def]
     line (row, col): number of the epipolar line, rising with the row; place, distance (row, col):
     where along its line the device sees the surface, px, rising with the column where it faces
     the device, and how far from the device it is, mm; NaN where there is none; ends: least and
-        largest place. Neighbours are joined where their distances differ by less than join_mm. Writes
+    largest place. Neighbours are joined where their distances differ by less than join_mm. Writes
     behind (n_lines, col), mm: infinite where the surface faces away from the device. lines: first
     and last but one.
     """

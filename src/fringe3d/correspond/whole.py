@@ -197,7 +197,7 @@ def _seams(
     kinds, length = np.unique(borders, return_counts=True)
     smooth, bond = kinds & 2 > 0, kinds & 1 > 0
     pair, jump = np.divmod(kinds >> 2, 2 * _whole.MOST_JUMP)
-    pairs, place = np.unique(pair, return_inverse=True)
+    place = np.unique(pair, return_inverse=True)[1]
     long = (length >= LEAST_SEAM) & (length > SEAM_PART * np.bincount(place, length)[place])
     weight = length * np.where(bond, BOND, 1)
     taken = np.flatnonzero(smooth & (long | bond))

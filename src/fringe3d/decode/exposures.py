@@ -8,9 +8,11 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from fringe3d.decode import _exposures
 from fringe3d.decode.fit import fringe_fit
 from fringe3d.decode.sensor import noise_from_steps
 from fringe3d.errors import MethodError
+from fringe3d.kernels import over_rows
 from fringe3d.model import Fringe, Fused, ImageStack, NoiseModel
 from fringe3d.model.plan import FringeSet
 
@@ -130,16 +132,25 @@ def without_saturated(stack: ImageStack, /) -> ImageStack:
     sets = [f for f in stack.plan.fringe_sets if len(f.shifts) > LEAST_STEPS_LEFT]
     if stack.response is not None or not sets:
         return stack
+    lost = [_incomplete(stack, fringe_set) for fringe_set in sets]
+    if not any(len(pixels) for pixels in lost):
+        return stack
     images, growth = stack.images.astype(np.uint16), np.ones(stack.shape, np.float32)
-    steps = [i for f in stack.plan.fringe_sets for i in f.indices]
-    images[steps] = np.where(images[steps] >= stack.saturation_dn, TOP, images[steps])
-    changed = False
-    for fringe_set in sets:
-        changed |= _fill_in(stack, images, growth, fringe_set)
-    if not changed:
+    for index in (i for f in stack.plan.fringe_sets for i in f.indices):
+        images[index][stack.images[index] >= stack.saturation_dn] = TOP
+    filled = [_fill_in(stack, images, growth, f, p) for f, p in zip(sets, lost, strict=True)]
+    if not any(filled):
         return stack
     return replace(stack, images=images, saturation_dn=float(TOP), sigma_growth=growth,
                    full_range_dn=stack.range_dn)  # fmt: skip
+
+
+def _incomplete(stack: ImageStack, fringe_set: FringeSet) -> NDArray[np.intp]:
+    """Return the numbers of the pixels of which some steps are saturated, and enough are not."""
+    found, steps = np.empty(stack.shape, np.bool_), np.asarray(fringe_set.indices)
+    over_rows(_exposures.find_incomplete, stack.shape[0], stack.images, steps,
+              np.float32(stack.saturation_dn), LEAST_STEPS_LEFT, found)  # fmt: skip
+    return np.flatnonzero(found)
 
 
 def _fill_in(
@@ -147,17 +158,16 @@ def _fill_in(
     images: NDArray[np.uint16],
     growth: NDArray[np.float32],
     fringe_set: FringeSet,
+    some: NDArray[np.intp],
 ) -> bool:
-    """Fill in saturated steps of one set, and the growth of the noise; tell whether any was."""
-    grey = images[list(fringe_set.indices)]
-    lost = grey == TOP
-    some = np.flatnonzero(lost.any(axis=0) & ((~lost).sum(axis=0) >= LEAST_STEPS_LEFT))
+    """Fill in saturated steps of some pixels, and how the noise grows; tell whether any was."""
     if not len(some):
         return False
+    grey = images.reshape(len(images), -1)[np.ix_(np.asarray(fringe_set.indices), some)]
+    lost = grey == TOP
     shifts = np.asarray(fringe_set.shifts)
     model = np.stack([np.ones_like(shifts), np.cos(shifts), np.sin(shifts)], axis=1)
     plain = (np.linalg.pinv(model)[1:] ** 2).sum() / 2  # phase variance, all steps, over (s/B)**2
-    lost, grey = lost.reshape(len(shifts), -1)[:, some], grey.reshape(len(shifts), -1)[:, some]
     kinds, kind_of = np.unique(lost, axis=1, return_inverse=True)
     changed = False
     for number, missing in enumerate(kinds.T):
