@@ -59,6 +59,7 @@ ALLOWED: dict[str, set[str]] = {
         "correspond",
         "health",
         "matching",
+        "kernels",
         "methods",
         "options",
         "devices_moved",

@@ -7,7 +7,10 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numba
 import pytest
+
+from fringe3d.kernels import alongside
 
 INNER = "from numba import njit\n\n@njit(cache=True)\ndef inner():\n    return {}\n"
 OUTER = (
@@ -96,3 +99,16 @@ def test_a_forked_process_has_threads_of_its_own(tmp_path: Path) -> None:
         env=os.environ | {"NUMBA_NUM_THREADS": "2"}, timeout=120,
     )  # fmt: skip
     assert found.stdout.strip() == "0"
+
+
+def test_a_call_alongside_takes_one_thread_and_passes_its_error_on() -> None:
+    assert alongside(numba.get_num_threads)() == 1
+    wait = alongside(int, "no number")
+    with pytest.raises(ValueError, match="no number"):
+        wait()
+
+
+def test_calls_alongside_do_not_wait_for_each_other() -> None:
+    """More of them than there are threads, each of which begins another one."""
+    nested = [alongside(lambda: alongside(sum, [1, 2])()) for _ in range(4 * (os.cpu_count() or 1))]
+    assert [wait() for wait in nested] == [3] * len(nested)

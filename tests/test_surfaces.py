@@ -316,6 +316,21 @@ def test_a_bond_outweighs_a_seam_that_is_not_much_longer(
     assert found.tolist() == [0, level]
 
 
+def test_levels_are_those_of_the_longest_borders() -> None:
+    """Three groups of pieces, of known levels; borders that say otherwise are shorter."""
+    rng = np.random.default_rng(4)
+    true, group = rng.integers(-3, 4, 300), np.arange(300) % 3
+    pairs = rng.integers(0, 300, (4000, 2))
+    pairs = pairs[(group[pairs[:, 0]] == group[pairs[:, 1]]) & (pairs[:, 0] != pairs[:, 1])]
+    first, second = np.sort(pairs, axis=1).T
+    wrong = rng.random(len(pairs)) < 0.3
+    higher = true[second] - true[first] + wrong
+    length = np.where(wrong, rng.integers(4, 20, len(pairs)), rng.integers(21, 90, len(pairs)))
+    surface, level = whole._levels(first, second, higher, length, 300)
+    np.testing.assert_array_equal(surface, group)
+    np.testing.assert_array_equal(level, true - true[group])
+
+
 def test_what_stands_before_a_table_hides_it_from_c2() -> None:
     """Of the true orders; against the shadow of a sphere in closed form, but for its border."""
     rig, ball = small_rig(), Surface()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
@@ -19,7 +21,7 @@ CORE_PX = 2
 """What is no wider than twice this joins nothing."""
 
 
-def cut_apart(parts: Ints, higher: Ints, is_smooth: Bools, /) -> Ints:
+def cut_apart(parts: Ints, higher: NDArray[np.integer[Any]], is_smooth: Bools, /) -> Ints:
     """Cut parts that contradict themselves where they are thin.
 
     A surface cannot jump by a whole number of orders along a smooth line and be continuous around

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
@@ -188,7 +190,7 @@ def _higher(task: Task, order: NDArray[np.int32], known: Bools) -> NDArray[np.in
 
 
 def _seams(
-    pieces: Ints, parts: Ints, higher: NDArray[np.int32], is_smooth: Bools
+    pieces: Ints, parts: Ints, higher: NDArray[np.integer[Any]], is_smooth: Bools
 ) -> tuple[Ints, Ints, Ints, Ints]:
     """Return pairs of pieces with a smooth border, how many orders the second one is higher than
     the first would continue into it, and the weight of the border, px; (n,) each, a pair once."""
