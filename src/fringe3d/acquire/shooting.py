@@ -8,11 +8,12 @@ from dataclasses import dataclass
 from fringe3d.devices import Camera, CameraInfo, CameraSettings, Clock, Frame, Projector
 from fringe3d.errors import FrameTimeoutError
 
-STALE_S = 0.003
-"""How much earlier than its trigger a frame may claim to be: clocks of cameras are that good."""
-
 GRACE_S = 0.5
 """How long a frame may be under way beyond its exposure."""
+
+STALE_PART = 0.5
+"""Of that time: by how much a frame may claim to be older than its trigger, for the clocks of
+cameras are fitted to the computer's. A late frame is older: its trigger was waited for so long."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -114,7 +115,8 @@ def shoot(
     troubles: list[Trouble] = []
     for camera in devices.cameras:
         try:
-            frame, late = _awaited(camera, triggered, devices.longest_s + devices.grace_s)
+            oldest = triggered - STALE_PART * devices.grace_s
+            frame, late = _awaited(camera, oldest, devices.longest_s + devices.grace_s)
         except FrameTimeoutError as problem:
             troubles.append(Trouble(kind="missing", camera=camera.name, text=str(problem)))
             continue
@@ -136,12 +138,12 @@ def _drained(camera: Camera) -> Sequence[Trouble]:
         late.append(_late(camera.name, frame))
 
 
-def _awaited(camera: Camera, triggered: float, timeout_s: float) -> tuple[Frame, list[Trouble]]:
+def _awaited(camera: Camera, oldest: float, timeout_s: float) -> tuple[Frame, list[Trouble]]:
     """Return the frame of the trigger; frames that were exposed before it are passed over."""
     late: list[Trouble] = []
     while True:
         frame = camera.grab(timeout_s)
-        if frame.time_s >= triggered - STALE_S:
+        if frame.time_s >= oldest:
             return frame, late
         late.append(_late(camera.name, frame))
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from fringe3d import __version__
 from fringe3d.acquire import (
@@ -28,6 +28,9 @@ from fringe3d.io.rigfile import read_rig
 from fringe3d.io.scanfile import read_plan
 from fringe3d.io.scanfolder import write_scan
 from fringe3d.model import PatternPlan, Rig, Scan, TablePosition
+
+if TYPE_CHECKING:  # the simulator is an extra
+    from fringe3d.devices.simulated import SimulatedWorld
 
 SETTLE_S = 0.005
 """Added to a measured latency."""
@@ -53,6 +56,8 @@ class RecordOptions:
     wait_ms: float = 100.0
     measures_latency: bool = False
     hardware_trigger: bool = False
+    black_level_dn: float | None = None
+    patience_ms: float = 500.0
     positions: int = 1
     title: str = ""
     command: str = ""
@@ -89,7 +94,8 @@ def run_record(
     with (
         new_folder(options.out, overwrite=options.overwrite) as folder,
         opened(bench.cameras, bench.projector, settings, bench.clock,
-               wait_s=options.wait_ms / 1000, rig=bench.rig) as devices,
+               wait_s=options.wait_ms / 1000, grace_s=options.patience_ms / 1000,
+               rig=bench.rig) as devices,
     ):  # fmt: skip
         plan = _fitting(plan, devices, options.plan)
         devices = _prepared(devices, options, reporter)
@@ -136,22 +142,42 @@ def _bench(options: RecordOptions, reporter: Reporter) -> Bench:
 
 
 def _simulated(options: RecordOptions, reporter: Reporter) -> Bench:
+    assert options.thing is not None
+    world, rig = simulated_world(
+        options.rig, options.thing, reporter, camera_size=options.camera_size, seed=options.seed,
+        n_positions=options.positions,
+    )  # fmt: skip
+    return Bench(cameras=world.cameras, projector=world.projector, table=world.table,
+                 clock=world.clock, rig=rig)  # fmt: skip
+
+
+def simulated_world(
+    preset: str,
+    thing: str,
+    reporter: Reporter,
+    /,
+    *,
+    camera_size: tuple[int, int],
+    seed: int,
+    n_positions: int = 1,
+    clock: Clock | None = None,
+    latency_s: float = 0.03,
+) -> tuple[SimulatedWorld, Rig]:
+    """Return simulated devices before an object, and their rig."""
     from fringe3d.cli.simulator import SimulateOptions, stages_of
     from fringe3d.devices.simulated import SimulatedWorld
 
-    assert options.thing is not None
-    preset, stages = stages_of(
+    made, stages = stages_of(
         SimulateOptions(
-            preset=options.rig, thing=options.thing, plan=str(options.plan), seed=options.seed,
-            out=options.out, steps=4, period_px=None, camera_size=options.camera_size,
-            background="table", n_rays=4, positions=options.positions, tilts_deg=(0.0,),
-            settings=None, overwrite=options.overwrite,
+            preset=preset, thing=thing, plan="m1", seed=seed, out=Path(), steps=4, period_px=None,
+            camera_size=camera_size, background="table", n_rays=4, positions=n_positions,
+            tilts_deg=(0.0,), settings=None, overwrite=False,
         ),
         reporter,
     )  # fmt: skip
-    world = SimulatedWorld(stages, seed=options.seed, n_positions=options.positions)
-    return Bench(cameras=world.cameras, projector=world.projector, table=world.table,
-                 clock=world.clock, rig=preset.rig)  # fmt: skip
+    world = SimulatedWorld(stages, seed=seed, clock=clock, latency_s=latency_s,
+                           n_positions=n_positions)  # fmt: skip
+    return world, made.rig
 
 
 def _fitting(plan: PatternPlan, devices: Devices, path: Path) -> PatternPlan:
@@ -169,6 +195,11 @@ def _fitting(plan: PatternPlan, devices: Devices, path: Path) -> PatternPlan:
 
 def _prepared(devices: Devices, options: RecordOptions, reporter: Reporter) -> Devices:
     """Find latency and exposure, where the user wants that."""
+    if options.black_level_dn is not None:
+        devices = replace(devices, infos={
+            name: replace(info, black_level_dn=options.black_level_dn)
+            for name, info in devices.infos.items()
+        })  # fmt: skip
     if options.auto_exposure:
         devices = with_best_exposure(devices)
         found = ", ".join(f"{n} {s.exposure_ms:.3g} ms" for n, s in devices.settings.items())

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shlex
 import sys
+from contextlib import suppress
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -32,6 +33,8 @@ def record(
     wait_ms: Annotated[float, Parameter(validator=at_least(0))] = 100.0,
     measure_latency: Annotated[bool, Parameter(negative=())] = False,
     trigger: Literal["software", "hardware"] = "software",
+    black_level: Annotated[float | None, Parameter(validator=at_least(0))] = None,
+    patience_ms: Annotated[float, Parameter(validator=at_least(1))] = 500.0,
     table: Annotated[int, Parameter(validator=at_least(1))] = 1,
     camera_size: str = "640x512",
     seed: Annotated[int, Parameter(validator=at_least(0))] = 0,
@@ -57,10 +60,10 @@ def record(
     out
         The scan folder; must not exist yet.
     camera
-        NAME=ADDRESS, with the name of a camera of the rig: gige:IP (or MAC or serial number),
-        pylon:SERIAL, uvc:INDEX, file:SCAN. Repeat it for each camera. fringe3d devices lists them.
+        NAME=ADDRESS, with the name of a camera of the rig: gige:IP (or MAC address), pylon:SERIAL,
+        uvc:INDEX, file:SCAN. Repeat it for each camera. fringe3d devices lists them.
     projector
-        window:OUTPUT, the number of a screen, or its name; file:SCAN.
+        window:OUTPUT, the number of a screen, or its name; file:SCAN; lab:, that of fringe3d lab.
     simulate
         Simulate everything: the object that stands before the rig.
     replay
@@ -79,6 +82,10 @@ def record(
         Measure that time first.
     trigger
         hardware: a line of the projector triggers the cameras.
+    black_level
+        Grey value without light, of all cameras, where they do not say it themselves.
+    patience_ms
+        Time that a frame may take from the camera, beyond its exposure.
     table
         Turn the object to that many positions: a scan folder for each.
     camera_size
@@ -97,6 +104,7 @@ def record(
         "exposure_ms": exposure_ms, "gain_db": gain_db, "auto_exposure": expose == "auto",
         "series": parse_factors(exposures), "wait_ms": wait_ms,
         "measures_latency": measure_latency, "hardware_trigger": trigger == "hardware",
+        "black_level_dn": black_level, "patience_ms": patience_ms,
         "positions": table, "title": title, "command": shlex.join(["fringe3d", *sys.argv[1:]]),
         "overwrite": overwrite,
     }  # fmt: skip
@@ -126,3 +134,68 @@ def parse_factors(text: str | None, /) -> tuple[float, ...]:
             f"--exposures: expected multiples of the exposure, as 0.25,1,4, found '{text}'"
         )
     return factors
+
+
+@app.command
+def devices(*, as_json: Json = False) -> None:
+    """List the cameras and outputs that are connected, with their addresses for fringe3d record."""
+    from fringe3d.devices.discovery import find_devices
+
+    found, missing = find_devices()
+    lines = [f"{device.kind:<10} {device.address:<28} {device.about}" for device in found]
+    lines = lines or ["no camera and no output found"]
+    lines += [f"not searched: {why}" for why in missing]
+    record_ = {
+        "devices": [{"kind": d.kind, "address": d.address, "about": d.about} for d in found],
+        "not_searched": list(missing),
+    }
+    say("\n".join(lines), record_, as_json=as_json)
+
+
+@app.command
+def lab(
+    preset: str,
+    /,
+    *,
+    thing: Annotated[str, Parameter(name="--object")] = "machine-part",
+    camera_size: str = "640x512",
+    seed: Annotated[int, Parameter(validator=at_least(0))] = 0,
+    latency_ms: Annotated[float, Parameter(validator=at_least(0))] = 30.0,
+    port: Annotated[int, Parameter(validator=at_least(1, 65535))] = 3957,
+) -> None:
+    """Simulate cameras behind GigE Vision on this machine, and their projector; Ctrl-C ends it.
+
+    Any program that speaks GigE Vision sees the cameras at 127.0.0.1, 127.0.0.2, ...
+    Example: fringe3d lab kolibri --object teeth, and elsewhere: fringe3d record rig.toml --plan
+    plan.toml --camera c1=gige:127.0.0.1 --camera c2=gige:127.0.0.2 --projector lab: --out scan
+
+    Parameters
+    ----------
+    preset
+        A rig of fringe3d simulate.
+    thing
+        What stands before it.
+    camera_size
+        Pixels of the cameras, WIDTHxHEIGHT.
+    seed
+        Of the noise.
+    latency_ms
+        From the order to the light.
+    port
+        Where the projector takes its orders.
+    """
+    from fringe3d.io.importing import parse_size
+
+    with simulator_installed("lab"), Reporter(quiet=False).running() as reporter:
+        from fringe3d.cli.recorder import simulated_world
+        from fringe3d.devices import SystemClock
+        from fringe3d.devices.lab import serve
+
+        world, _ = simulated_world(
+            preset, thing, reporter, camera_size=parse_size(camera_size, "--camera-size"),
+            seed=seed, clock=SystemClock(), latency_s=latency_ms / 1000,
+        )  # fmt: skip
+    places = ", ".join(f"{c.name} at 127.0.0.{n + 1}" for n, c in enumerate(world.cameras))
+    say(f"cameras {places}; projector at lab:127.0.0.1:{port}; Ctrl-C ends it")
+    with suppress(KeyboardInterrupt):
+        serve(world, port=port)

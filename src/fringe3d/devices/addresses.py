@@ -11,8 +11,8 @@ from fringe3d.devices.replay import FileCamera, FileProjector, replayed
 from fringe3d.errors import DeviceError
 from fringe3d.io.recording import read_scan
 
-CAMERA_KINDS = ("file",)
-PROJECTOR_KINDS = ("file",)
+CAMERA_KINDS = ("gige", "pylon", "uvc", "file")
+PROJECTOR_KINDS = ("window", "lab", "file")
 
 
 def parse_address(text: str, kinds: Sequence[str], what: str, /) -> tuple[str, str]:
@@ -20,8 +20,8 @@ def parse_address(text: str, kinds: Sequence[str], what: str, /) -> tuple[str, s
 
     Examples
     --------
-    >>> parse_address("file:scan", CAMERA_KINDS, "--camera")
-    ('file', 'scan')
+    >>> parse_address("gige:192.168.1.20", CAMERA_KINDS, "--camera")
+    ('gige', '192.168.1.20')
     """
     kind, _, place = text.partition(":")
     if kind not in kinds:
@@ -48,7 +48,7 @@ def cameras_at(addresses: Sequence[str], clock: Clock, /) -> tuple[Camera, ...]:
         if not equals or not name:
             raise DeviceError(
                 f"--camera {text}: expected NAME=KIND:PLACE with the name of a camera of the rig, "
-                "as c1=file:scan"
+                "as c1=gige:192.168.1.20"
             )
         cameras.append(_camera(name, *parse_address(address, CAMERA_KINDS, "--camera"), clock))
     return tuple(cameras)
@@ -57,8 +57,15 @@ def cameras_at(addresses: Sequence[str], clock: Clock, /) -> tuple[Camera, ...]:
 def projector_at(address: str, clock: Clock, /) -> Projector:
     """Return the projector of an address KIND:PLACE, not yet open."""
     kind, place = parse_address(address, PROJECTOR_KINDS, "--projector")
-    assert kind == "file"
-    return _replayed(place, clock)[1]
+    if kind == "file":
+        return _replayed(place, clock)[1]
+    if kind == "lab":
+        from fringe3d.devices.lab import LabProjector
+
+        return LabProjector(place)
+    from fringe3d.devices.window import WindowProjector
+
+    return WindowProjector(place)
 
 
 def devices_of_files(path: Path, clock: Clock, /) -> tuple[tuple[FileCamera, ...], FileProjector]:
@@ -71,8 +78,28 @@ def _replayed(place: str, clock: Clock) -> tuple[tuple[FileCamera, ...], FilePro
 
 
 def _camera(name: str, kind: str, place: str, clock: Clock) -> Camera:
-    makers: dict[str, Callable[[str, str, Clock], Camera]] = {"file": _file}
+    makers: dict[str, Callable[[str, str, Clock], Camera]] = {
+        "gige": _gige, "pylon": _pylon, "uvc": _uvc, "file": _file,
+    }  # fmt: skip
     return makers[kind](name, place, clock)
+
+
+def _gige(name: str, place: str, clock: Clock) -> Camera:
+    from fringe3d.devices.genicam import GigeCamera
+
+    return GigeCamera(name, place, clock=clock)
+
+
+def _pylon(name: str, place: str, clock: Clock) -> Camera:
+    from fringe3d.devices.pylon import PylonCamera
+
+    return PylonCamera(name, place, clock=clock)
+
+
+def _uvc(name: str, place: str, clock: Clock) -> Camera:
+    from fringe3d.devices.uvc import UvcCamera
+
+    return UvcCamera(name, place, clock=clock)
 
 
 def _file(name: str, place: str, clock: Clock) -> Camera:

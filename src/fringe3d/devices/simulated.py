@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -74,6 +75,7 @@ class SimulatedWorld:
         self.stage, self.position, self.n_positions = first, 0, n_positions
         self.seed, self.latency_s = seed, latency_s
         self.clock: Clock = clock or VirtualClock()
+        self._lock = threading.Lock()
         self._images: Sequence[Grey] = ()
         self._orders: list[_Order] = []
         self._shown: dict[int, Shown] = {}
@@ -97,6 +99,8 @@ class SimulatedWorld:
                 f"projector: expected an image 0 to {len(self._images) - 1}, found {index}. "
                 "Load the images first"
             )
+        with self._lock:
+            self._render(index)  # beforehand: with the computer's clock it must not take time later
         self._orders.append(_Order(self.clock.now() + self.latency_s, index))
 
     def turn(self, position: int, /) -> None:
@@ -110,7 +114,8 @@ class SimulatedWorld:
         """Return what a camera sees from `start_s` on."""
         factor = settings.exposure_ms / BASE_EXPOSURE_MS * 10 ** (settings.gain_db / 20)
         parts = self._parts(start_s, settings.exposure_s)
-        seen = [(part, self._see(number, index, factor)) for index, part in parts.items()]
+        with self._lock:  # cameras may be triggered at once
+            seen = [(part, self._see(number, index, factor)) for index, part in parts.items()]
         if len(seen) == 1:
             return seen[0][1]
         mixed = sum(part * image.astype(np.float64) for part, image in seen)
@@ -131,11 +136,14 @@ class SimulatedWorld:
         dark = 1 - sum(parts.values())
         return parts | ({-1: dark} if dark > 1e-9 else {})
 
-    def _see(self, number: int, index: int, factor: float) -> Grey:
+    def _render(self, index: int) -> None:
         if index not in self._shown:
             if len(self._shown) > 1:  # blurred light for all depths is large: keep two
                 self._shown.pop(next(iter(self._shown)))
             self._shown[index] = self._show(index)
+
+    def _see(self, number: int, index: int, factor: float) -> Grey:
+        self._render(index)
         take = self._takes.get((number, index), 0)
         self._takes[number, index] = take + 1
         entropy = [self.seed, 2, self.position, number, index + (index < 0) * 10**6]
