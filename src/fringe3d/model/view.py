@@ -95,7 +95,8 @@ class FoundTable:
     across : (2, 3) float; these directions
     angles : (n,) float, rad; as found, of all views; NaN for views without a table
     angle_sigma : (n,) float, rad
-    wobble_mm, wobble_rad : float; how far single poses lie from the table's, rms
+    off_mm, off_rad : (n,) float; how far the pose of each view lies beside the table's; NaN for
+        views without one
     """
 
     axis: TableAxis
@@ -104,8 +105,8 @@ class FoundTable:
     across: NDArray[np.float64]
     angles: NDArray[np.float64]
     angle_sigma: NDArray[np.float64]
-    wobble_mm: float
-    wobble_rad: float
+    off_mm: NDArray[np.float64]
+    off_rad: NDArray[np.float64]
 
     @property
     def shift_sigma_mm(self) -> float:

@@ -5,6 +5,7 @@ from fringe3d.register.axis import axis_of_motions, axis_of_points
 from fringe3d.register.coarse import place_by_angles, place_by_shape
 from fringe3d.register.fusing import fuse
 from fringe3d.register.holes import border_loops, closed_holes
+from fringe3d.register.judging import OddView, odd_views
 from fringe3d.register.meshing import mesh_of
 from fringe3d.register.overlap import Landed, Sample, all_points, land_on, sample_of
 from fringe3d.register.pairs import PairFit, judge_pair, match_pair, refine_pair
@@ -16,6 +17,7 @@ from fringe3d.register.views import surface_view
 __all__ = [
     "AdjustOptions",
     "Landed",
+    "OddView",
     "PairFit",
     "RegisterOptions",
     "Sample",
@@ -32,6 +34,7 @@ __all__ = [
     "match_pair",
     "mesh_of",
     "motion_of",
+    "odd_views",
     "place_by_angles",
     "place_by_shape",
     "refine_pair",

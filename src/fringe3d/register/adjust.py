@@ -23,6 +23,10 @@ N_SAMPLES = 6000
 FIRST_SAMPLES = 1500
 """While views still lie far apart."""
 
+LOOSE = 200.0
+"""How much farther poses may lie beside the table's until they have settled: so a view that does
+not stand on it is seen, and cannot pull at the axis."""
+
 MOST_ROUNDS = 30
 CONVERGED = 0.02
 """Part of a pose's sigma by which no pose moves any more."""
@@ -96,7 +100,8 @@ def adjust(
         overlaps.land(poses, limit, among=list(overlaps.pairs) if number > 2 else None)
         before = overlaps.residuals() if before is None else before
         noise = max(overlaps.scaled_size(), 1.0)
-        moved, covariance, table = _moved(overlaps, poses, noise, limit, table)
+        slack = 1.0 if is_tight else LOOSE
+        moved, covariance, table = _moved(overlaps, poses, noise, limit, table, slack)
         poses = [tidy(motion_of(v, overlaps.middle_mm) @ p) for v, p in zip(moved, poses,
                  strict=True)]  # fmt: skip
         least = max(LIMIT_OF_NOISE * _typical_mm(overlaps), 1e-6)
@@ -139,6 +144,7 @@ def _moved(
     noise: float,
     limit_mm: float,
     table: TableFit | None,
+    slack: float,
 ) -> tuple[Floats, Floats, TableFit | None]:
     """Return how each view should move, (n, 6), the covariance (6 n, 6 n), and the table."""
     matrix, vector, _ = overlaps.equations(poses, noise, limit_mm)
@@ -147,7 +153,7 @@ def _moved(
     # In units of what the residuals are: so noise and the table's accuracy are weighed rightly.
     whole[:size, :size], right[:size] = matrix / noise**2, vector / noise**2
     if table is not None:
-        add, pull = table.equations(poses, overlaps.middle_mm)
+        add, pull = table.equations(poses, overlaps.middle_mm, slack=slack)
         whole, right = whole + add, right + pull
     free = slice(6, size + n_more)  # the first view stays
     spread = np.sqrt(np.maximum(np.diagonal(whole)[free], 1e-12))

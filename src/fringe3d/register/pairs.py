@@ -94,22 +94,9 @@ def match_pair(first: SurfaceView, second: SurfaceView, /) -> PairFit | None:
     KISS-Matcher: Faster-PFH features, a maximal set of consistent ones, graduated non-convexity;
     then generalised ICP by small_gicp. The best of three sizes of features is taken.
     """
-    kiss = extra("kiss_matcher", "merge")
-    clouds = [_thinned(view.points_mm[view.is_valid]) for view in (first, second)]
-    extent = max(float(np.linalg.norm(np.ptp(cloud, axis=0))) for cloud in clouds)
-    unit = extent / EXTENT
-    middles = [cloud.mean(axis=0) for cloud in clouds]
-    scaled = [((c - m) / unit).astype(np.float32) for c, m in zip(clouds, middles, strict=True)]
+    clouds = [view.points_mm[view.is_valid] for view in (first, second)]
     best: PairFit | None = None
-    for voxel in VOXELS:
-        with _without_output():
-            told = kiss.KISSMatcher(voxel).estimate(scaled[1], scaled[0])
-        if not told.valid:
-            continue
-        rotation = nearest_rotation(np.asarray(told.rotation, np.float64))
-        shift = unit * np.asarray(told.translation, np.float64).ravel()
-        rough = RigidTransform(rotation=rotation,
-                               translation=middles[0] - rotation @ middles[1] + shift)  # fmt: skip
+    for rough in _by_features(*clouds):
         fit = judge_pair(first, second, refine_pair(first, second, rough))
         best = fit if best is None or fit.quality > best.quality else best
         if is_sure(best):
@@ -129,6 +116,39 @@ def is_sure(fit: PairFit, /) -> bool:
 def is_possible(fit: PairFit, /) -> bool:
     """Tell whether a fit may be right."""
     return fit.overlap > LEAST_OVERLAP_PART and fit.contradiction < MOST_CONTRADICTION
+
+
+def _by_features(target: Floats, source: Floats) -> Iterator[RigidTransform]:
+    """Yield ``target_from_source`` as features of several sizes say."""
+    kiss = extra("kiss_matcher", "merge")
+    clouds = [_thinned(cloud) for cloud in (target, source)]
+    unit = max(float(np.linalg.norm(np.ptp(cloud, axis=0))) for cloud in clouds) / EXTENT
+    middles = [cloud.mean(axis=0) for cloud in clouds]
+    scaled = [((c - m) / unit).astype(np.float32) for c, m in zip(clouds, middles, strict=True)]
+    for voxel in VOXELS:
+        with _without_output():
+            told = kiss.KISSMatcher(voxel).estimate(scaled[1], scaled[0])
+        if told.valid:
+            rotation = nearest_rotation(np.asarray(told.rotation, np.float64))
+            shift = unit * np.asarray(told.translation, np.float64).ravel()
+            shift += middles[0] - rotation @ middles[1]
+            yield RigidTransform(rotation=rotation, translation=shift)
+
+
+def place_clouds(target: Floats, source: Floats, /) -> RigidTransform | None:
+    """Return ``target_from_source`` of two clouds that lie anywhere; None where nothing fits.
+
+    Parameters
+    ----------
+    target, source : (n, 3), (m, 3) float, mm
+    """
+    extent = float(np.linalg.norm(np.ptp(target, axis=0)))
+    best: tuple[float, RigidTransform] | None = None
+    for rough in _by_features(target, source):
+        fine, fits = _generalised(target, source, rough, voxel=extent / 200, reach=extent / 50)
+        if best is None or fits > best[0]:
+            best = fits, fine
+    return best[1] if best else None
 
 
 @contextmanager
@@ -155,23 +175,31 @@ def refine_pair(
     first: SurfaceView, second: SurfaceView, first_from_second: RigidTransform, /
 ) -> RigidTransform:
     """Return how two views lie to each other, from where they lie roughly, by generalised ICP."""
-    gicp = extra("small_gicp", "merge")
     spacing = max(first.spacing_mm, second.spacing_mm)
-    start = np.eye(4)
-    start[:3, :3] = first_from_second.rotation
-    start[:3, 3] = first_from_second.translation
     target, source = (view.points_mm[view.is_valid] for view in (first, second))
+    return _generalised(
+        target, source, first_from_second, voxel=ICP_VOXELS * spacing, reach=ICP_REACH * spacing
+    )[0]
+
+
+def _generalised(
+    target: Floats, source: Floats, rough: RigidTransform, *, voxel: float, reach: float
+) -> tuple[RigidTransform, float]:
+    """Refine by generalised ICP; return how many points found partners, too."""
+    gicp = extra("small_gicp", "merge")
     middle = target.mean(axis=0)  # small numbers: turns and shifts then hang together little
-    start[:3, 3] = start[:3, :3] @ middle + start[:3, 3] - middle
+    start = np.eye(4)
+    start[:3, :3] = rough.rotation
+    start[:3, 3] = rough.rotation @ middle + rough.translation - middle
     told = gicp.align(
         target - middle, source - middle, init_T_target_source=start, registration_type="GICP",
-        downsampling_resolution=ICP_VOXELS * spacing,
-        max_correspondence_distance=ICP_REACH * spacing, num_threads=1, max_iterations=40,
-        rotation_epsilon=1e-5, translation_epsilon=1e-4 * spacing,
+        downsampling_resolution=voxel, max_correspondence_distance=reach, num_threads=1,
+        max_iterations=40, rotation_epsilon=1e-5, translation_epsilon=voxel / 3e4,
     )  # fmt: skip
     found = np.asarray(told.T_target_source)
     rotation = nearest_rotation(found[:3, :3])
-    return RigidTransform(rotation=rotation, translation=found[:3, 3] + middle - rotation @ middle)
+    shift = found[:3, 3] + middle - rotation @ middle
+    return RigidTransform(rotation=rotation, translation=shift), float(told.num_inliers)
 
 
 def judge_pair(

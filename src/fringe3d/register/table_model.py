@@ -25,6 +25,10 @@ SAME_AXIS_MM, SAME_AXIS_RAD = 1.0, math.radians(0.5)
 
 LEAST_VIEWS = 3
 
+DOUBT = 6.0
+"""Standard deviations (of six numbers together) beside the table at which a view is believed a
+quarter as much to stand on it."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TablePrior:
@@ -70,13 +74,17 @@ class TableFit:
         return 4 * len(self.axes) + len(self.angles)
 
     def equations(
-        self, poses: Sequence[RigidTransform], middle_mm: Floats, /
+        self, poses: Sequence[RigidTransform], middle_mm: Floats, /, *, slack: float = 1.0
     ) -> tuple[Floats, Floats]:
-        """Return what the table adds to the normal equations of views and its own numbers."""
+        """Return what the table adds to the normal equations of views and its own numbers.
+
+        With a `slack` poses may lie that much farther beside. A view that lies beside all the same
+        (a scan whose calibration had moved) is drawn less.
+        """
         n_views = len(poses)
         size = 6 * n_views + self.n_numbers
         matrix, vector = np.zeros((size, size)), np.zeros(size)
-        weight = np.repeat([self.prior.wobble_rad**-2, self.prior.wobble_mm**-2], 3)
+        strict = np.repeat([self.prior.wobble_rad**-2, self.prior.wobble_mm**-2], 3) / slack**2
         first = 6 * n_views
         angle_weight = self.prior.angle_sigma**-2 if np.isfinite(self.prior.angle_sigma) else 0.0
         for group, which in zip(self.groups, self.axis_of, strict=True):
@@ -87,6 +95,7 @@ class TableFit:
                     matrix[place, place] += STEP_RAD**-2  # its angle is zero by convention
                     continue
                 error = self._error(poses, group[0], view, own, self.angles[view], middle_mm)
+                weight = strict / (1 + float(error @ (strict * error)) / DOUBT**2) ** 2
                 jacobian = np.zeros((6, size))
                 jacobian[:, 6 * view : 6 * view + 6] = np.eye(6)
                 jacobian[:, 6 * group[0] : 6 * group[0] + 6] -= np.eye(6)
@@ -134,15 +143,15 @@ class TableFit:
         """Return the first axis, the angles of all views, and how far poses lie beside."""
         n, angles, sigma = 4 * len(self.axes), np.full(len(views), np.nan), np.sqrt(
             np.maximum(np.diagonal(self.covariance), 0))  # fmt: skip
-        errors = []
+        off = np.full((len(views), 6), np.nan)
         for group, which in zip(self.groups, self.axis_of, strict=True):
             own = views[group[0]].position
             begin = 0.0 if own is None or own.angle is None else own.angle
             for view in group:
                 angles[view] = begin + self.angles[view]
-                errors.append(self._error(poses, group[0], view, self.axes[which],
-                                          self.angles[view], middle_mm))  # fmt: skip
-        squares = np.mean(np.square(errors), axis=0)
+                off[view] = self._error(poses, group[0], view, self.axes[which],
+                                        self.angles[view], middle_mm)  # fmt: skip
+        shifts, turns = np.linalg.norm(off[:, 3:], axis=1), np.linalg.norm(off[:, :3], axis=1)
         axis = self.axes[0]
         return FoundTable(
             axis=axis,
@@ -151,8 +160,8 @@ class TableFit:
             across=across_of(axis.direction),
             angles=angles,
             angle_sigma=np.where(np.isfinite(angles), sigma[n : n + len(views)], np.nan),
-            wobble_mm=float(np.sqrt(squares[3:].sum())),
-            wobble_rad=float(np.sqrt(squares[:3].sum())),
+            off_mm=shifts,
+            off_rad=turns,
         )
 
 

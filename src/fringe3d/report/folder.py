@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 import platform
 import textwrap
 from dataclasses import asdict, dataclass
@@ -227,6 +228,10 @@ def measure_record(
             "provenance": scan.rig.provenance,
             "sha256": hashlib.sha256(rig_text(scan.rig).encode()).hexdigest(),
         }
+    if scan.table is not None:
+        angle = scan.table.angle
+        record["table"] = {"angle_deg": None if angle is None else math.degrees(angle),
+                           "tilt_deg": math.degrees(scan.table.tilt)}  # fmt: skip
     if own_poses is not None:
         record["self_calibration"] = self_calibration_record(own_poses)
     return record

@@ -12,9 +12,9 @@ from markupsafe import Markup
 from fringe3d.errors import MethodError
 from fringe3d.report.pages import page
 
-IN_FOLDERS = ("design.md", "acceptance.md", "compare.md", "paper.md")
+IN_FOLDERS = ("design.md", "acceptance.md", "compare.md", "paper.md", "merge.md")
 BESIDE_RIGS = ("-board.md", "-projector.md")
-KINDS = {".png": "image/png", ".jpg": "image/jpeg"}
+KINDS = {".png": "image/png", ".jpg": "image/jpeg", ".gif": "image/gif"}
 
 
 def written_report(path: Path, /) -> Path | None:
