@@ -59,17 +59,26 @@ def main() -> None:
     parser.add_argument("--only", nargs="*", default=None, help="faults")
     parser.add_argument("--keep", type=Path, default=None, help="file of what was found before")
     options = parser.parse_args()
-    kept = json.loads(options.keep.read_text()) if options.keep and options.keep.exists() else {}
+    kept = Kept(options.keep)
     ends = options.cases or ("0:20" if options.what == "faults" else "0:1000")
     cases = range(*(int(end) for end in ends.split(":")))
-    try:
-        if options.what == "sound":
-            sound(cases, kept)
-        else:
-            faults(cases, options.only or [*RENDERED, *SPOILT], kept)
-    finally:
-        if options.keep:
-            options.keep.write_text(json.dumps(kept, indent=1))
+    if options.what == "sound":
+        sound(cases, kept)
+    else:
+        faults(cases, options.only or [*RENDERED, *SPOILT], kept)
+
+
+class Kept(dict[str, list[str]]):
+    """What was found, kept in a file at once where one is named."""
+
+    def __init__(self, path: Path | None) -> None:
+        super().__init__(json.loads(path.read_text()) if path and path.exists() else {})
+        self.path = path
+
+    def __setitem__(self, key: str, value: list[str]) -> None:
+        super().__setitem__(key, value)
+        if self.path:
+            self.path.write_text(json.dumps(self, indent=1))
 
 
 def staged(number: int, *, cameras: int = 1) -> tuple[Preset, Stage, int]:
@@ -91,7 +100,7 @@ def recorded(preset: Preset, stage: Stage, steps: int, seed: int, method: str = 
     return record(stage, plan, seed=seed)
 
 
-def faults(cases: range, names: list[str], kept: dict[str, list[str]]) -> None:
+def faults(cases: range, names: list[str], kept: Kept) -> None:
     """Put each fault into each case; print how often it is named, and what else is."""
     for number in cases:
         for name in names:
@@ -303,7 +312,7 @@ SPOILT: dict[str, Spoil] = {
 }
 
 
-def sound(numbers: range, kept: dict[str, list[str]]) -> None:
+def sound(numbers: range, kept: Kept) -> None:
     """Print what the doctor says of sound scans."""
     for name, make in [*sound_scans(), *captures()][numbers.start : numbers.stop]:
         if name not in kept:

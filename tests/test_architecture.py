@@ -34,7 +34,7 @@ ALLOWED: dict[str, set[str]] = {
     # It knows points on the grid of a camera, neither phases nor how they were measured.
     "register": NOUNS | {"geometry", "kernels"},
     # It judges any cloud, a rival's too: it knows neither rigs nor phases.
-    "evaluate": {"errors"},
+    "evaluate": {"errors", "model"},
     # What the user wants, and which method that allows: the design's counts say it beforehand.
     "options": NOUNS,
     "segments": NOUNS | {"design", "geometry"},

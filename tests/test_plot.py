@@ -14,6 +14,7 @@ from PIL import Image
 
 from closed_form import Recording
 from fringe3d import plot
+from fringe3d.evaluate import fit_sphere
 from fringe3d.io.stored import read_result
 from fringe3d.model.html import MISSING, picture, png, table
 from fringe3d.pipeline import Measurement, measure
@@ -68,6 +69,32 @@ def test_nouns_show_themselves(recording: Recording, result: Measurement) -> Non
     seen = (shown(html) != MISSING).any(axis=-1)
     np.testing.assert_array_equal(seen, result.points.is_valid)
     assert "the phase corrected the code" in result.findings[0]._repr_html_()
+
+
+def test_phase_maps_show_themselves(result: Measurement) -> None:
+    """As a picture of the projector's columns, dark where there is none."""
+    main = result.main
+    html = main._repr_html_()
+    assert f"{(main.rejection == 0).sum():,} of 81,920" in html
+    assert "fringe orders</th><td>64, each known" in html
+    seen = (shown(html) != MISSING).any(axis=-1)
+    np.testing.assert_array_equal(seen, main.rejection == 0)
+    wrapped = result.phases[0].directions[0].wrapped[0]._repr_html_()
+    assert "<th>steps</th><td>4</td>" in wrapped
+    reduced = main.without_orders()._repr_html_()
+    assert "64, told apart in 1 classes" in reduced
+
+
+def test_a_fit_shows_its_numbers_with_units() -> None:
+    """Of points on a sphere about (1, 2, 3) with a radius of 10 mm, one of them 0.1 mm outside."""
+    way = np.random.default_rng(0).normal(size=(500, 3))
+    points = np.array([1.0, 2, 3]) + 10 * way / np.linalg.norm(way, axis=1, keepdims=True)
+    points[0] += 0.1 * way[0] / np.linalg.norm(way[0])
+    html = fit_sphere(points, rejected_part=0.002)._repr_html_()
+    assert "sphere through points" in html
+    assert "center_mm</th><td>(1.0000, 2.0000, 3.0000) mm" in html
+    assert "radius_mm</th><td>10.0000 mm" in html
+    assert "499 used, 1 left out" in html
 
 
 def test_a_stored_result_shows_itself(tmp_path: Path) -> None:

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Generic, Protocol, Self, TypeVar
+from dataclasses import dataclass, fields
+from typing import Any, Generic, Protocol, Self, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+from fringe3d.model.html import table
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -87,6 +89,28 @@ class Fit(Generic[S]):
     def form95_mm(self) -> float:
         """Return the width of the shortest interval with 95 % of the distances used, mm."""
         return shortest_interval(self.distances_mm[self.is_used], 0.95)
+
+    def _repr_html_(self) -> str:
+        rows: list[tuple[str, object]] = [
+            (field.name, _in_words(field.name, getattr(self.surface, field.name)))
+            for field in fields(self.surface)  # type: ignore[arg-type]
+        ]
+        rows += [
+            ("points", f"{self.n_used:,} used, {self.n_rejected:,} left out"),
+            ("sigma", f"{1000 * self.sigma_mm:.4g} um"),
+            ("form", f"{1000 * self.form_mm:.4g} um; of 95 % {1000 * self.form95_mm:.4g} um"),
+        ]
+        return table(f"{type(self.surface).__name__.lower()} through points", rows)
+
+
+def _in_words(name: str, value: Any) -> str:
+    """Return a number of a surface with its unit, as its name tells it."""
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    unit = " mm" if name.endswith("_mm") else " rad" if name.endswith("angle") else ""
+    numbers = np.atleast_1d(np.asarray(value, np.float64))
+    text = ", ".join(f"{number:.4f}" for number in numbers)
+    return (f"({text})" if numbers.size > 1 else text) + unit
 
 
 def shortest_interval(values: ArrayLike, part: float, /) -> float:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fringe3d.model._array import frozen
+from fringe3d.model.html import picture, table
 
 NO_ORDER = -(2**31)
 """Stands in integer maps where there is no fringe order (orders may be negative)."""
@@ -99,6 +100,11 @@ class WrappedPhaseMap(_Maps):
     def __post_init__(self) -> None:
         f4 = np.float32
         self._freeze(phase=f4, offset=f4, modulation=f4, phase_std=f4, rejection=np.uint16)
+
+    def _repr_html_(self) -> str:
+        rows = [*_figures(self), ("steps", self.n_shifts), ("noise", f"{self.noise_dn:.3g} DN")]
+        title = f"wrapped phase of camera '{self.device_name}'"
+        return table(title, rows, more=picture(self.phase))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -206,3 +212,24 @@ class PhaseMap(_Maps):
     def position_px(self) -> NDArray[np.float64]:
         """Return (row, col), projector px: the coordinate w across the fringes."""
         return self.absolute_phase * (self.period_px / (2 * np.pi))
+
+    def _repr_html_(self) -> str:
+        n_orders, n_classes = len(self.class_of_order), len(np.unique(self.class_of_order))
+        known = "each known" if self.is_absolute else f"told apart in {n_classes} classes"
+        rows = [*_figures(self), ("fringe orders", f"{n_orders}, {known}")]
+        shown = self.position_px if self.is_absolute else self.phase
+        title = f"phase of camera '{self.device_name}'"
+        return table(title, rows, more=picture(shown))
+
+
+def _figures(maps: WrappedPhaseMap | PhaseMap) -> list[tuple[str, object]]:
+    """Return what both kinds of maps say of themselves."""
+    good, total = int((maps.rejection == 0).sum()), maps.rejection.size
+    figures: list[tuple[str, object]] = [
+        ("fringes", f"period {maps.period_px:g} px, {np.degrees(maps.angle):g} deg"),
+        ("pixels", f"{good:,} of {total:,} ({good / max(total, 1):.1%})"),
+    ]
+    if good:
+        sigma = float(np.median(maps.phase_std[maps.rejection == 0]))
+        figures.append(("sigma of the phase", f"median {sigma:.4f} rad"))
+    return figures
