@@ -243,6 +243,32 @@ def test_a_browser_shows_the_live_view(stored: StoredResult) -> None:
             live.server.stop()
 
 
+def test_a_slow_browser_gets_fewer_points_and_is_told(
+    stored: StoredResult, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Two results of 4,360 points: 1,000 of all, as many of each; colours and story go on."""
+    pytest.importorskip("viser")
+    from fringe3d.view import live as module
+
+    monkeypatch.setattr(module, "FEW_POINTS", 1000)
+    live = module.LiveView([stored, stored], host="127.0.0.1", port=8767,
+                           phases=lambda _: {})  # fmt: skip
+    try:
+        size = live.cloud.point_size
+        live.show_fewer(True)
+        assert "1,000 of 8,720 points shown" in live.drawn.content
+        assert len(live.cloud.points) == len(live.cloud.colors) == 500
+        # The same area is covered.
+        assert live.cloud.point_size == pytest.approx(size * np.sqrt(8.72))
+        live.colour_by("brightness")
+        assert len(live.cloud.colors) == 500
+        live.show_fewer(False)
+        assert live.drawn.content == ""
+        assert len(live.cloud.points) == len(live.cloud.colors) == 4360
+    finally:
+        live.server.stop()
+
+
 def test_a_browser_shows_results_side_by_side(stored: StoredResult) -> None:
     pytest.importorskip("viser")
     from fringe3d.view.live import LiveView
@@ -264,7 +290,7 @@ def test_a_browser_shows_results_side_by_side(stored: StoredResult) -> None:
             story = live.show_pixel(*PIXEL, number=1)
             assert story is not None
             assert "misses c2's phase by +0.048 periods" in live.story.content
-            page.get_by_text("misses c2's phase").first.wait_for(timeout=20_000)
+            page.get_by_text("misses c2's phase").first.wait_for(timeout=60_000)
             assert said == []
         finally:
             live.server.stop()

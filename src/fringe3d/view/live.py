@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -19,6 +20,7 @@ from fringe3d.patterns import across
 from fringe3d.report.advice import reason_rows
 from fringe3d.report.cloud_data import Channel, channels_of, thinned
 from fringe3d.report.maps import REASON_COLORS, robust_limits
+from fringe3d.view.pace import Pace
 from fringe3d.view.phases import other_phases
 from fringe3d.view.pixel import (
     Candidate,
@@ -42,6 +44,12 @@ SURFACE = (190, 195, 205)
 MOST_POINTS = 1_000_000
 """More points make turning slow; the others are left out at random."""
 
+FEW_POINTS = 60_000
+"""Of all results together: so many turn smoothly where the processor draws, too."""
+
+LOADING_S = 5.0
+"""After a page is opened: it is slow as long as points arrive."""
+
 DEVICE_COLOURS = {"camera": (70, 130, 220), "projector": (230, 160, 40)}
 TAKEN, OTHER, RAY = (40, 200, 80), (230, 60, 60), (120, 60, 200)
 FRUSTUM_PART = 0.35
@@ -58,6 +66,7 @@ class _Shown:
     aside: NDArray[np.float64]
     cloud: Any = None
     surface: Any = None
+    size: float = 0.0
 
 
 class LiveView:
@@ -87,7 +96,7 @@ class LiveView:
         self.stored, self._several = results[0], len(results) > 1
         self._phases_of, self._phases = phases, dict[int, Mapping[str, PhaseMap]]()
         self.server = viser.ViserServer(host=host, port=port, label="fringe3d", verbose=False)
-        self._lock = threading.Lock()
+        self._lock, self._was_slow = threading.Lock(), False
         points = self.stored.maps["points_mm"][self.stored.rejection == 0]
         self._middle = np.median(points, axis=0)
         reach = float(np.linalg.norm(np.percentile(points, 99, 0) - np.percentile(points, 1, 0)))
@@ -97,9 +106,11 @@ class LiveView:
         ]
         self._channels = self._shown[0].channels
         self.cloud = self._shown[0].cloud
+        self._all = [shown.places for shown in self._shown]
         self._add_rig()
         self._look_from_c1(reach * len(results))
         self._add_controls(len(self._shown[0].places), len(points))
+        self.server.on_client_connect(self._watch_pace)
 
     def _on_stage(
         self, number: int, stored: StoredResult, reach: float, most_points: int
@@ -114,10 +125,11 @@ class LiveView:
         shown = _Shown(stored, places, channels, number * BETWEEN * reach * sideways)
         points = self._staged(shown)[places]
         first = next(iter(channels.values()))
+        shown.size = 1.5 * reach / np.sqrt(len(points))
         # Shown around their middle: single precision is enough there.
         shown.cloud = self.server.scene.add_point_cloud(
             "/points" if number == 0 else f"/points {number + 1}", points,
-            self._colours(shown, first), point_size=1.5 * reach / np.sqrt(len(points)),
+            self._colours(shown, first), point_size=shown.size,
             precision="float32", point_shading="flat",
         )  # fmt: skip
         if self._several:
@@ -141,6 +153,35 @@ class LiveView:
         for shown in having:
             shown.cloud.colors = self._colours(shown, shown.channels[name], (low, high))
         self.scale.content = f"{low:.4g} to {high:.4g} {channel.unit} ({channel.colours})"
+
+    def show_fewer(self, is_fewer: bool, /) -> None:
+        """Show some of the points, evenly at random and larger, or all again."""
+        total = sum(map(len, self._all))
+        part = min(1.0, FEW_POINTS / total) if is_fewer else 1.0
+        rng = np.random.default_rng(0)
+        for shown, places in zip(self._shown, self._all, strict=True):
+            kept = np.sort(rng.choice(places, round(part * len(places)), replace=False))
+            shown.places = places if part == 1 else kept
+            with self.server.atomic():
+                shown.cloud.points = self._staged(shown)[shown.places]
+                self.colour_by(self.colour.value)
+                shown.cloud.point_size = shown.size / np.sqrt(part)
+        count = f"{sum(len(shown.places) for shown in self._shown):,} of {total:,} points shown"
+        self.drawn.content = count if part < 1 else ""
+
+    def _watch_pace(self, client: Any) -> None:
+        """Show fewer points to a browser that cannot follow the hand, and say so; once."""
+        pace, first = Pace(), time.monotonic() + LOADING_S
+
+        def moved(_camera: Any) -> None:
+            if time.monotonic() < first:
+                return
+            is_slow = pace.is_slow(time.monotonic()) and sum(map(len, self._all)) > FEW_POINTS
+            if is_slow and not self._was_slow:
+                self._was_slow = True
+                self.fewer.value = True  # which shows them
+
+        client.camera.on_update(moved)
 
     def as_surface(self, is_surface: bool, /) -> None:
         """Show surfaces between neighbouring pixels instead of points, or points again."""
@@ -268,6 +309,11 @@ class LiveView:
         self.scale = gui.add_markdown("")
         self.colour.on_update(lambda _: self.colour_by(self.colour.value))
         self.colour_by(self.colour.value)
+        self.fewer: Any = gui.add_checkbox(
+            "fewer points", False, hint="Ticked by itself where turning is slow"
+        )
+        self.fewer.on_update(lambda _: self.show_fewer(bool(self.fewer.value)))
+        self.drawn = gui.add_markdown("")
         self.surface = gui.add_checkbox("surfaces instead of points", False)
         self.surface.on_update(lambda _: self.as_surface(bool(self.surface.value)))
         with gui.add_folder("pixel of C1"):
