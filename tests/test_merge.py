@@ -180,7 +180,8 @@ def test_meshes_are_read_back_by_others(tmp_path: Path, ending: str) -> None:
     n = len(ball.vertices)
     mesh = SurfaceMesh(
         vertices_mm=np.asarray(ball.vertices), faces=np.asarray(ball.faces, np.int32),
-        normals=(np.asarray(ball.vertices) / 10).astype(np.float32), sigma_mm=np.full(n, 0.005, np.float32),
+        normals=(np.asarray(ball.vertices) / 10).astype(np.float32),
+        sigma_mm=np.full(n, 0.005, np.float32),
         grey=np.arange(n).astype(np.uint8),
     )  # fmt: skip
     assert mesh.is_closed

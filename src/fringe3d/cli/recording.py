@@ -162,6 +162,7 @@ def lab(
     seed: Annotated[int, Parameter(validator=at_least(0))] = 0,
     latency_ms: Annotated[float, Parameter(validator=at_least(0))] = 30.0,
     port: Annotated[int, Parameter(validator=at_least(1, 65535))] = 3957,
+    as_json: Json = False,
 ) -> None:
     """Simulate cameras behind GigE Vision on this machine, and their projector; Ctrl-C ends it.
 
@@ -186,7 +187,7 @@ def lab(
     """
     from fringe3d.io.importing import parse_size
 
-    with simulator_installed("lab"), Reporter(quiet=False).running() as reporter:
+    with simulator_installed("lab"), Reporter(quiet=as_json).running() as reporter:
         from fringe3d.cli.recorder import simulated_world
         from fringe3d.devices import SystemClock
         from fringe3d.devices.lab import serve
@@ -195,7 +196,9 @@ def lab(
             preset, thing, reporter, camera_size=parse_size(camera_size, "--camera-size"),
             seed=seed, clock=SystemClock(), latency_s=latency_ms / 1000,
         )  # fmt: skip
-    places = ", ".join(f"{c.name} at 127.0.0.{n + 1}" for n, c in enumerate(world.cameras))
-    say(f"cameras {places}; projector at lab:127.0.0.1:{port}; Ctrl-C ends it")
+    at = {camera.name: f"127.0.0.{n + 1}" for n, camera in enumerate(world.cameras)}
+    places = ", ".join(f"{name} at {address}" for name, address in at.items())
+    say(f"cameras {places}; projector at lab:127.0.0.1:{port}; Ctrl-C ends it",
+        {"cameras": at, "projector": f"lab:127.0.0.1:{port}"}, as_json=as_json)  # fmt: skip
     with suppress(KeyboardInterrupt):
         serve(world, port=port)
