@@ -1,9 +1,10 @@
 #!/usr/bin/env python3
-"""Set up fringe3d in a virtual environment beside this file, and run one of three jobs.
+"""Set up fringe3d in a virtual environment beside this file, and run one of four jobs.
 
-python3 run.py demo    measure a simulated scan; open demo/result/report.html
-python3 run.py test    check style and types, build the docs, and pass all tests
-python3 run.py docs    build the docs; open docs/_build/index.html
+python3 run.py demo            measure a simulated scan; open demo/result/report.html
+python3 run.py test            check style and types, build the docs, and pass all tests
+python3 run.py docs            build the docs; open docs/_build/index.html
+python3 run.py docs-commands   carry out the commands that README and docs print (half an hour)
 
 Needs Python 3.11 or newer and nothing else.
 """
@@ -43,6 +44,9 @@ def main(arguments: list[str]) -> int:
         case ["docs"]:
             set_up(extras="[dev]")
             return call(*DOCS)
+        case ["docs-commands", *pages]:
+            set_up(extras="[dev]")
+            return call("-m", "benchmarks.docs_commands", *pages)
         case _:
             print(__doc__)
             return 2
