@@ -93,6 +93,8 @@ ALLOWED: dict[str, set[str]] = {
     "devices": NOUNS | {"io", "patterns", "simulate"},
     # It judges frames as health does, and knows from the rig which way fringes must move.
     "acquire": NOUNS | {"devices", "geometry", "health", "patterns"},
+    # Cameras, measurement and what they show, all at once.
+    "live": NOUNS | {"acquire", "decode", "devices", "patterns", "pipeline", "session"},
     "report": NOUNS
     | {
         "calibrate",
@@ -118,6 +120,8 @@ ALLOWED: dict[str, set[str]] = {
         "acquire",
         "decode",
         "devices",
+        "live",
+        "session",
         "correspond",
         "board_scans",
         "calibrate",

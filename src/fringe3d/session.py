@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
+from numpy.typing import NDArray
+
 from fringe3d.correspond import keep_curves
 from fringe3d.errors import MethodError
 from fringe3d.io.cache import mapped
@@ -54,12 +57,16 @@ class Session:
         if keep:
             keep_curves(mapped)
 
-    def measure(self, stacks: Sequence[ImageStack], /) -> Measurement:
+    def measure(
+        self, stacks: Sequence[ImageStack], /, *, previous_mm: NDArray[np.float64] | None = None
+    ) -> Measurement:
         """Measure what one recording shows.
 
         Parameters
         ----------
         stacks : sequence of ImageStack, one for each camera; the first is C1
+        previous_mm : (row, col, 3) float, mm, or None; points of the frame before, as evidence
+            for M6
 
         Returns
         -------
@@ -79,4 +86,5 @@ class Session:
                     f"{self.plan.n_images} patterns, found another plan of {stack.plan.n_images} "
                     f"for camera '{stack.device_name}'. Make a session for each plan"
                 )
-        return measure(Scan(stacks=tuple(stacks), rig=self.rig), self.options)
+        scan = Scan(stacks=tuple(stacks), rig=self.rig)
+        return measure(scan, self.options, previous_mm=previous_mm)

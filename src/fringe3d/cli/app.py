@@ -75,6 +75,7 @@ def measure(
     response: Path | None = None,
     noise: Path | None = None,
     previous: Path | None = None,
+    motion: Annotated[bool, Parameter(negative=())] = False,
     self_calibrate: Annotated[bool, Parameter(negative=())] = False,
     overwrite: Overwrite = False,
     as_json: Json = False,
@@ -132,12 +133,16 @@ def measure(
     previous
         Result of the frame before, of the same scene and rig: m6 prefers what goes on from it where
         the images leave several solutions.
+    motion
+        Take the motion of the object between the images out of the phases first: for fringes of
+        four steps and more, without a code or with a slow object.
     self_calibrate
         Find the poses of all devices from this scan first, starting from those of the rig; leaves
         them in OUT/rig.toml. Lenses, and the distance of the first two devices, stay.
     """
     from fringe3d.calibrate import check_poses
     from fringe3d.correspond import keep_curves
+    from fringe3d.decode import stilled
     from fringe3d.io.atomic import require_writable
     from fringe3d.io.cache import mapped
     from fringe3d.io.importing import parse_depth
@@ -172,6 +177,9 @@ def measure(
     with Reporter(quiet=as_json).running() as reporter:
         recording = read_scan(scan, images=images, rig=rig, response=response,
                               noise=noise, progress=reporter.step)  # fmt: skip
+        if motion:
+            stacks = tuple(stilled(stack) for stack in recording.stacks)
+            recording = replace(recording, stacks=stacks)
         shape = recording.stacks[0].images.shape[1:]
         before = read_points_mm(previous, shape=shape) if previous else None
         found = None

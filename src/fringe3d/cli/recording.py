@@ -202,3 +202,77 @@ def lab(
         {"cameras": at, "projector": f"lab:127.0.0.1:{port}"}, as_json=as_json)  # fmt: skip
     with suppress(KeyboardInterrupt):
         serve(world, port=port)
+
+
+@app.command
+def live(
+    rig: Path,
+    /,
+    *,
+    plan: Path | None = None,
+    replay: Path | None = None,
+    video: Annotated[list[str] | None, Parameter(negative=())] = None,
+    camera: Annotated[list[str] | None, Parameter(negative=())] = None,
+    projector: str | None = None,
+    exposure_ms: Annotated[float, Parameter(validator=at_least(0.001))] = 10.0,
+    wait_ms: Annotated[float, Parameter(validator=at_least(0))] = 100.0,
+    period_ms: Annotated[float, Parameter(validator=at_least(0.1))] = 30.0,
+    method: Literal["auto", "m0", "m1", "m2", "m3", "m4", "m5", "m6", "projector"] = "auto",
+    motion: Annotated[bool, Parameter(negative=())] = False,
+    clouds: Annotated[int | None, Parameter(validator=at_least(1))] = None,
+    host: str = "127.0.0.1",
+    port: Annotated[int, Parameter(validator=at_least(1, 65535))] = 8080,
+    view: bool = True,
+    as_json: Json = False,
+) -> None:
+    """Record, measure and show in a loop; Ctrl-C ends it.
+
+    The newest images, as many as the plan has, are measured whenever there is time: each new image
+    may give a new cloud. What there is no time for is dropped and counted.
+    Examples: fringe3d live rig.toml --plan plan.toml --camera c1=gige:192.168.1.20 --camera
+    c2=gige:192.168.1.21 --projector window:1; fringe3d live scan/rig.toml --replay scan
+
+    Parameters
+    ----------
+    rig
+        The rig file.
+    plan
+        What is projected, round and round.
+    replay
+        Play a scan round and round instead.
+    video
+        NAME=FILE: play a video of a camera of the rig, whose first frame shows the first pattern.
+        Repeat it for each camera.
+    camera, projector
+        As for fringe3d record.
+    exposure_ms
+        Exposure of all cameras.
+    wait_ms
+        Time from the order to show a pattern to the exposure.
+    period_ms
+        From frame to frame of --replay and --video.
+    method
+        How to measure; m6 takes the cloud before as evidence.
+    motion
+        Take the motion between the images out of the phases first: for fringes without a code.
+    clouds
+        End after that many.
+    host
+        Address to listen on: by default only this machine can see the page.
+    port
+        The next free one is taken where it is in use.
+    view
+        --no-view measures without a page.
+    """
+    from fringe3d.cli.streaming import LiveOptions, run_live
+    from fringe3d.options import MeasureOptions
+
+    options = LiveOptions(
+        rig=rig, plan=plan, replay=replay, videos=tuple(video or ()), cameras=tuple(camera or ()),
+        projector=projector, exposure_ms=exposure_ms, wait_ms=wait_ms, period_ms=period_ms,
+        measuring=MeasureOptions(method=method), still=motion, host=host, port=port, has_view=view,
+        clouds=clouds,
+    )  # fmt: skip
+    with Reporter(quiet=as_json).running() as reporter:
+        text, record_ = run_live(options, reporter, reporter.note)
+    say(text, record_, as_json=as_json)

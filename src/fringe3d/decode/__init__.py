@@ -4,6 +4,7 @@ from fringe3d.decode.apart import decode_apart
 from fringe3d.decode.camera import CameraPhases, DirectionPhases, decode
 from fringe3d.decode.exposures import fuse, without_saturated
 from fringe3d.decode.filtering import filtered_camera
+from fringe3d.decode.motion import drift_of, stilled
 from fringe3d.decode.order import has_mirrored_neighbours
 from fringe3d.decode.phase import wrapped_phase
 from fringe3d.decode.response import ramp_of, response_from_fringes, response_from_ramp
@@ -16,6 +17,7 @@ __all__ = [
     "SensorNoise",
     "decode",
     "decode_apart",
+    "drift_of",
     "filtered_camera",
     "fuse",
     "has_mirrored_neighbours",
@@ -24,6 +26,7 @@ __all__ = [
     "ramp_of",
     "response_from_fringes",
     "response_from_ramp",
+    "stilled",
     "without_saturated",
     "wrapped_phase",
 ]

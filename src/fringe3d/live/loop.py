@@ -1,0 +1,211 @@
+"""Record, measure and show at once; what nobody has time for is dropped and counted."""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fringe3d.decode import stilled
+from fringe3d.devices import Clock
+from fringe3d.errors import Fringe3DError
+from fringe3d.live.window import Moment, SlidingWindow
+from fringe3d.model import ImageStack
+from fringe3d.pipeline import Measurement
+from fringe3d.session import Session
+
+WAITING = 2
+"""Sequences that may wait to be measured; the oldest is dropped for a newer one."""
+
+KEPT_TIMES = 200
+"""Of the newest clouds, of which the latency is told."""
+
+IDLE_S = 0.05
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Figures:
+    """How a live measurement does.
+
+    Parameters
+    ----------
+    moments : int; images of each camera that came
+    lost : int; that did not come, by their numbers
+    clouds : int; that were measured
+    dropped : int; whole sequences that were not measured, for newer ones were there
+    failed : int; that gave no cloud
+    latency_ms : float, ms; from the newest image to its cloud, median of the newest clouds
+    clouds_per_s : float; since the first image
+    """
+
+    moments: int
+    lost: int
+    clouds: int
+    dropped: int
+    failed: int
+    latency_ms: float
+    clouds_per_s: float
+
+    def __str__(self) -> str:
+        return (
+            f"{self.clouds} clouds ({self.clouds_per_s:.1f}/s) of {self.moments} images, latency "
+            f"{self.latency_ms:.0f} ms; {self.dropped} sequences dropped, {self.lost} images lost, "
+            f"{self.failed} without a cloud"
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Job:
+    stacks: tuple[ImageStack, ...]
+    times: tuple[int, ...]
+    moment: Moment
+
+
+Show = Callable[[Measurement, tuple[ImageStack, ...], Figures], None]
+Measure = Callable[
+    [tuple[ImageStack, ...], tuple[int, ...], NDArray[np.float64] | None], Measurement
+]
+
+
+class Live:
+    """Images in, clouds out: one thread listens to the cameras, the caller's measures and shows.
+
+    Parameters
+    ----------
+    moments : iterable of Moment; listened to in a thread of its own
+    window : SlidingWindow; with each new image there is a sequence to measure
+    measure : function of the stacks, the times of their images, and the points of the cloud before
+        (or None)
+    clock : Clock
+    """
+
+    def __init__(
+        self, moments: Iterable[Moment], window: SlidingWindow, measure: Measure, clock: Clock, /
+    ) -> None:
+        self._moments, self._window, self._measure = moments, window, measure
+        self._clock = clock
+        self._waiting = deque[_Job](maxlen=WAITING)
+        self._news = threading.Condition()
+        self._stop, self._is_over = threading.Event(), False
+        self._problem: BaseException | None = None
+        self._began_s = clock.now()
+        self._count = dict.fromkeys(("moments", "lost", "clouds", "dropped", "failed"), 0)
+        self._latencies = deque[float](maxlen=KEPT_TIMES)
+
+    @property
+    def figures(self) -> Figures:
+        """Return how it does."""
+        passed = max(self._clock.now() - self._began_s, 1e-9)
+        latency = float(np.median(self._latencies)) if self._latencies else float("nan")
+        return Figures(
+            **self._count, latency_ms=1000 * latency, clouds_per_s=self._count["clouds"] / passed
+        )
+
+    def stop(self) -> None:
+        """Let `run` end after the cloud that is being measured."""
+        self._stop.set()
+
+    def run(self, show: Show, /, *, most_clouds: int | None = None) -> Figures:
+        """Measure and show until the images end, `stop` is called, or there are enough clouds.
+
+        Parameters
+        ----------
+        show : called with each measurement, its images and the figures
+        most_clouds : int or None (no end)
+
+        Raises
+        ------
+        Fringe3DError
+            If the cameras fail.
+        """
+        listener = threading.Thread(target=self._listen, daemon=True)
+        listener.start()
+        before: NDArray[np.float64] | None = None
+        try:
+            while (job := self._next_job()) is not None:
+                result = self._measured(job, before)
+                if result is None:
+                    continue
+                if result.points is not None:
+                    before = result.points.points_mm
+                show(result, job.stacks, self.figures)
+                if most_clouds is not None and self._count["clouds"] >= most_clouds:
+                    break
+        finally:
+            self._stop.set()
+            listener.join(timeout=5.0)
+        if self._problem is not None:
+            raise self._problem
+        return self.figures
+
+    def _listen(self) -> None:
+        last = None
+        try:
+            for moment in self._moments:
+                if self._stop.is_set():
+                    return
+                self._count["moments"] += 1
+                if last is not None:
+                    self._count["lost"] += moment.number - last - 1
+                last = moment.number
+                stacks = self._window.add(moment)
+                if stacks:
+                    self._offer(_Job(stacks=stacks, times=self._window.times, moment=moment))
+        except Fringe3DError as problem:
+            self._problem = problem
+        finally:
+            with self._news:
+                self._is_over = True
+                self._news.notify()
+
+    def _offer(self, job: _Job) -> None:
+        with self._news:
+            if len(self._waiting) == WAITING:
+                self._count["dropped"] += 1
+            self._waiting.append(job)
+            self._news.notify()
+
+    def _next_job(self) -> _Job | None:
+        """Return the newest sequence; older ones that wait are dropped."""
+        with self._news:
+            while not self._waiting:
+                if self._is_over or self._stop.is_set():
+                    return None
+                self._news.wait(IDLE_S)
+            job = self._waiting.pop()
+            self._count["dropped"] += len(self._waiting)
+            self._waiting.clear()
+        return job
+
+    def _measured(self, job: _Job, before: NDArray[np.float64] | None) -> Measurement | None:
+        try:
+            result = self._measure(job.stacks, job.times, before)
+        except Fringe3DError:  # a hand before the lens is no reason to end
+            self._count["failed"] += 1
+            return None
+        self._count["clouds"] += 1
+        self._latencies.append(self._clock.now() - job.moment.time_s)
+        return result
+
+
+def measuring(session: Session, /, *, uses_previous: bool = False, still: bool = False) -> Measure:
+    """Return how a session measures a stream.
+
+    Parameters
+    ----------
+    session : Session
+    uses_previous : bool; the cloud before is evidence (M6)
+    still : bool; the motion between the images is taken out first
+    """
+
+    def measure(
+        stacks: tuple[ImageStack, ...], times: tuple[int, ...], before: NDArray[np.float64] | None
+    ) -> Measurement:
+        taken = tuple(stilled(stack, times) for stack in stacks) if still else stacks
+        return session.measure(taken, previous_mm=before if uses_previous else None)
+
+    return measure
