@@ -24,6 +24,7 @@ from fringe3d.correspond import (
     match_cameras,
     match_near_sheets,
     match_projector,
+    orders_of_before,
     place_lost,
     quiet,
 )
@@ -111,6 +112,35 @@ def best_direction_first(
         ))
         for camera_phases in phases
     )  # fmt: skip
+
+
+def followed(
+    phases: Sequence[CameraPhases],
+    camera: Device,
+    other: Device,
+    projector: Device | None,
+    previous_mm: NDArray[np.float64] | None,
+    /,
+) -> tuple[CameraPhases, ...]:
+    """Give two cameras the fringe orders that go on from the points of the frame before.
+
+    Raises
+    ------
+    MethodError
+        If there is no frame before, no second camera, or no calibrated projector.
+    """
+    if previous_mm is None or other.role != "camera" or projector is None:
+        raise MethodError(
+            "follow: expected the points of the frame before, two cameras and a calibrated "
+            "projector, which tells where they were lit. Measure this frame without it"
+        )
+    main = phases[0].directions[0].main
+    found = []
+    for own, device in zip(phases, (camera, other), strict=False):
+        first, *more = own.directions
+        orders = orders_of_before(first.like(main), device, projector, previous_mm)
+        found.append(replace(own, directions=(replace(first, main=orders), *more)))
+    return tuple(found)
 
 
 def match(

@@ -53,6 +53,8 @@ class MeasureOptions:
         `fringe3d.decode.filtering`
     own_response : bool; take out of the phases what a nonlinear response (gamma) does to them, as
         these images show it; else that of the stacks
+    follow : bool; the fringe orders are those of the frame before, gone on from: fast, and only
+        for frames that follow each other closely, see `fringe3d.session.Session.follow`
     """
 
     method: Method = "auto"
@@ -67,6 +69,7 @@ class MeasureOptions:
     min_order_probability: float | None = None
     filter: Filter = "none"
     own_response: bool = False
+    follow: bool = False
 
 
 def keep_images(stack: ImageStack, options: MeasureOptions, /) -> ImageStack:

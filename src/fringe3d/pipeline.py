@@ -37,7 +37,7 @@ from fringe3d.health import (
     check_yield,
 )
 from fringe3d.kernels import alongside
-from fringe3d.matching import Matched, best_direction_first, match
+from fringe3d.matching import Matched, best_direction_first, followed, match
 from fringe3d.methods import choose_method, images_of, settle
 from fringe3d.model import (
     CalibrationBias,
@@ -183,15 +183,20 @@ def measure(
     if scan.rig is None:
         return _finish(replace(result, findings=tuple(of_images())), clock)
 
-    _require_previous(previous_mm, main, choice.method)
+    _require_previous(previous_mm, main, choice.method, options)
     camera, other = _devices(scan.rig, stacks, choice.method)
     rig, projector = _with_own_bias(scan.rig, camera, other), scan.rig.projector
+    method = choice.method
+    if options.follow:
+        phases, method = followed(phases, camera, other, projector, previous_mm), "m1"
+        main = phases[0].directions[0].main
+        result = replace(result, phases=phases, why="fringe orders go on from the frame before")
     with clock("finding correspondences"):
-        matched = match(phases, camera, other, projector, volume, method=choice.method,
+        matched = match(phases, camera, other, projector, volume, method=method,
                         options=options, bias=rig.bias, previous_mm=previous_mm,
                         cameras=_further_cameras(rig, stacks))  # fmt: skip
         matches = matched.matches
-        findings = _check_orders(matched, main, rig, volume, choice.method)
+        findings = _check_orders(matched, main, rig, volume, method)
         if previous_mm is not None and projector is not None:
             findings += check_previous(matches, main, projector, previous_mm)
     with clock("triangulating"):
@@ -301,7 +306,9 @@ def _devices(rig: Rig, stacks: Sequence[ImageStack], method: str) -> tuple[Devic
     return camera, cameras[stacks[1].device_name]
 
 
-def _require_previous(previous_mm: NDArray[np.float64] | None, main: PhaseMap, method: str) -> None:
+def _require_previous(
+    previous_mm: NDArray[np.float64] | None, main: PhaseMap, method: str, options: MeasureOptions
+) -> None:
     """Raise MethodError if there is a frame before, but of no use."""
     if previous_mm is None:
         return
@@ -310,7 +317,7 @@ def _require_previous(previous_mm: NDArray[np.float64] | None, main: PhaseMap, m
             f"previous_mm: expected points on the pixels of C1, (row, col, 3) = "
             f"{(*main.phase.shape, 3)}, found {previous_mm.shape}"
         )
-    if method != "m6":
+    if method != "m6" and not options.follow:
         raise MethodError(
             f"--previous: expected method m6, which alone uses the frame before, found {method}. "
             "Add --method m6, or leave --previous out"

@@ -3,16 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fringe3d.correspond import keep_curves
-from fringe3d.errors import MethodError
+from fringe3d.errors import CalibrationError, EmptyResultError, MethodError
 from fringe3d.io.cache import mapped
 from fringe3d.model import ImageStack, PatternPlan, Rig, Scan
 from fringe3d.options import MeasureOptions
 from fringe3d.pipeline import Measurement, measure
+
+LEAST_FOLLOWED = 0.9
+"""Part of the points before that must be found again."""
+
+MOST_CHANGE_PX, SAMPLE = 0.1, 97
+"""Of the bias between frames: orders that are all off by one change it by a quarter of a pixel or
+more, where cameras tell them apart at all. So many points apart it is looked at."""
 
 
 class Session:
@@ -88,3 +96,56 @@ class Session:
                 )
         scan = Scan(stacks=tuple(stacks), rig=self.rig)
         return measure(scan, self.options, previous_mm=previous_mm)
+
+    def follow(self, stacks: Sequence[ImageStack], before: Measurement, /) -> Measurement:
+        """Measure what one recording shows, a moment after another.
+
+        The fringe orders go on from the points before, and both cameras must agree on them, as on
+        those of a full code (M1): several times as fast as to find them. What moved by more than a
+        third of a period, or came into view apart from all else, is missing. Where less than
+        `LEAST_FOLLOWED` of the points are left, or the calibration seems to have changed, as wrong
+        orders make it seem, all is measured anew.
+
+        Parameters
+        ----------
+        stacks : sequence of ImageStack, one for each camera; the first is C1
+        before : Measurement; what `measure` or `follow` gave for the recording before
+
+        Returns
+        -------
+        Measurement
+
+        Raises
+        ------
+        MethodError, CalibrationError, EmptyResultError
+            As `measure`.
+        """
+        if self.rig is None or before.points is None or before.bias is None:
+            return self.measure(stacks)
+        try:
+            found = measure(
+                Scan(stacks=tuple(stacks), rig=replace(self.rig, bias=None)),
+                replace(self.options, follow=True),
+                previous_mm=before.points.points_mm,
+            )
+        except (CalibrationError, EmptyResultError):
+            return self.measure(stacks)
+        return found if self._goes_on(found, before) else self.measure(stacks)
+
+    def _goes_on(self, found: Measurement, before: Measurement) -> bool:
+        """Tell whether as many points are found as before, and with the same bias."""
+        assert self.rig is not None
+        assert found.points is not None
+        assert before.points is not None
+        if found.points.n_points < LEAST_FOLLOWED * before.points.n_points:
+            return False
+        some = np.argwhere(found.points.is_valid)[::SAMPLE]
+        camera = next(c for c in self.rig.cameras if c.name == found.main.device_name)
+        points = found.points.points_mm[tuple(some.T)]
+        depths = np.linalg.norm(points - camera.center_world, axis=1)
+        now, then = (
+            result.bias.displacement(some[:, ::-1].astype(np.float64), depths)
+            for result in (found, before)
+            if result.bias is not None
+        )
+        return bool(np.median(np.linalg.norm(now - then, axis=1)) < MOST_CHANGE_PX)

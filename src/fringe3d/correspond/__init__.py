@@ -5,6 +5,7 @@ from fringe3d.correspond.both_directions import match_both_directions
 from fringe3d.correspond.candidates import FIT_SIGMA, ChosenOrders, choose_orders
 from fringe3d.correspond.curves import keep_curves, ray_curves
 from fringe3d.correspond.direct import Located, locate
+from fringe3d.correspond.following import orders_of_before
 from fringe3d.correspond.near import match_near_sheets
 from fringe3d.correspond.placement import place_lost
 from fringe3d.correspond.projector import (
@@ -47,6 +48,7 @@ __all__ = [
     "match_cameras",
     "match_near_sheets",
     "match_projector",
+    "orders_of_before",
     "place_lost",
     "quiet",
     "ray_curves",
