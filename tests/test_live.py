@@ -122,7 +122,7 @@ def options_of(folder: Path, **more: object) -> LiveOptions:
     values: dict[str, object] = {
         "rig": folder / "rig.toml", "plan": folder / "plan.toml", "replay": None, "videos": (),
         "cameras": (), "projector": None, "exposure_ms": 10.0, "wait_ms": 0.0, "period_ms": 20.0,
-        "measuring": MeasureOptions(), "still": True, "host": "127.0.0.1",
+        "measuring": MeasureOptions(), "still": True, "renew": 2, "host": "127.0.0.1",
         "port": 8080, "has_view": False,
         "clouds": 1,
     }  # fmt: skip

@@ -18,6 +18,9 @@ from fringe3d.pipeline import Measurement, measure
 LEAST_FOLLOWED = 0.9
 """Part of the points before that must be found again."""
 
+FOLLOWING = ("m2", "m3", "m4", "m5", "m6")
+"""Methods that find the orders in another way than pixel by pixel."""
+
 MOST_CHANGE_PX, SAMPLE = 0.1, 97
 """Of the bias between frames: orders that are all off by one change it by a quarter of a pixel or
 more, where cameras tell them apart at all. So many points apart it is looked at."""
@@ -120,8 +123,10 @@ class Session:
         MethodError, CalibrationError, EmptyResultError
             As `measure`.
         """
-        if self.rig is None or before.points is None or before.bias is None:
+        is_of_use = before.points is not None and before.bias is not None
+        if self.rig is None or not is_of_use or before.method not in FOLLOWING:
             return self.measure(stacks)
+        assert before.points is not None
         try:
             found = measure(
                 Scan(stacks=tuple(stacks), rig=replace(self.rig, bias=None)),

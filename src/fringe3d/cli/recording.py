@@ -219,6 +219,7 @@ def live(
     period_ms: Annotated[float, Parameter(validator=at_least(0.1))] = 30.0,
     method: Literal["auto", "m0", "m1", "m2", "m3", "m4", "m5", "m6", "projector"] = "auto",
     motion: Annotated[bool, Parameter(negative=())] = False,
+    renew: Annotated[int, Parameter(validator=at_least(1))] = 15,
     clouds: Annotated[int | None, Parameter(validator=at_least(1))] = None,
     host: str = "127.0.0.1",
     port: Annotated[int, Parameter(validator=at_least(1, 65535))] = 8080,
@@ -255,6 +256,9 @@ def live(
         How to measure; m6 takes the cloud before as evidence.
     motion
         Take the motion between the images out of the phases first: for fringes without a code.
+    renew
+        Find the fringe orders anew every so many clouds, 1 for each; between, m2 to m6 let them go
+        on from the cloud before, which is several times as fast.
     clouds
         End after that many.
     host
@@ -270,8 +274,8 @@ def live(
     options = LiveOptions(
         rig=rig, plan=plan, replay=replay, videos=tuple(video or ()), cameras=tuple(camera or ()),
         projector=projector, exposure_ms=exposure_ms, wait_ms=wait_ms, period_ms=period_ms,
-        measuring=MeasureOptions(method=method), still=motion, host=host, port=port, has_view=view,
-        clouds=clouds,
+        measuring=MeasureOptions(method=method), still=motion, renew=renew, host=host, port=port,
+        has_view=view, clouds=clouds,
     )  # fmt: skip
     with Reporter(quiet=as_json).running() as reporter:
         text, record_ = run_live(options, reporter, reporter.note)

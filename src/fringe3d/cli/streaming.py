@@ -46,6 +46,7 @@ class LiveOptions:
     period_ms: float
     measuring: MeasureOptions
     still: bool
+    renew: int
     host: str
     port: int
     has_view: bool
@@ -70,8 +71,9 @@ def run_live(
     with _stream(options, rig, clock, reporter) as stream, ExitStack() as closing:
         session = Session(rig, stream.plan, options.measuring)
         measure = measuring(
-            session, uses_previous=options.measuring.method == "m6", still=options.still
-        )
+            session, uses_previous=options.measuring.method == "m6", still=options.still,
+            renew=options.renew,
+        )  # fmt: skip
         window = SlidingWindow(stream.plan, stream.infos)
         loop = Live(stream.moments, window, measure, clock)
         show = _shower(options, rig, closing, tell, reporter)

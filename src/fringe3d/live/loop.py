@@ -6,9 +6,9 @@ import threading
 from collections import deque
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from itertools import count
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fringe3d.decode import stilled
 from fringe3d.devices import Clock
@@ -66,9 +66,7 @@ class _Job:
 
 
 Show = Callable[[Measurement, tuple[ImageStack, ...], Figures], None]
-Measure = Callable[
-    [tuple[ImageStack, ...], tuple[int, ...], NDArray[np.float64] | None], Measurement
-]
+Measure = Callable[[tuple[ImageStack, ...], tuple[int, ...], Measurement | None], Measurement]
 
 
 class Live:
@@ -78,8 +76,8 @@ class Live:
     ----------
     moments : iterable of Moment; listened to in a thread of its own
     window : SlidingWindow; with each new image there is a sequence to measure
-    measure : function of the stacks, the times of their images, and the points of the cloud before
-        (or None)
+    measure : function of the stacks, the times of their images, and the measurement before (or
+        None)
     clock : Clock
     """
 
@@ -124,14 +122,13 @@ class Live:
         """
         listener = threading.Thread(target=self._listen, daemon=True)
         listener.start()
-        before: NDArray[np.float64] | None = None
+        before: Measurement | None = None
         try:
             while (job := self._next_job()) is not None:
                 result = self._measured(job, before)
                 if result is None:
                     continue
-                if result.points is not None:
-                    before = result.points.points_mm
+                before = result
                 show(result, job.stacks, self.figures)
                 if most_clouds is not None and self._count["clouds"] >= most_clouds:
                     break
@@ -181,7 +178,7 @@ class Live:
             self._waiting.clear()
         return job
 
-    def _measured(self, job: _Job, before: NDArray[np.float64] | None) -> Measurement | None:
+    def _measured(self, job: _Job, before: Measurement | None) -> Measurement | None:
         try:
             result = self._measure(job.stacks, job.times, before)
         except Fringe3DError:  # a hand before the lens is no reason to end
@@ -192,7 +189,9 @@ class Live:
         return result
 
 
-def measuring(session: Session, /, *, uses_previous: bool = False, still: bool = False) -> Measure:
+def measuring(
+    session: Session, /, *, uses_previous: bool = False, still: bool = False, renew: int = 1
+) -> Measure:
     """Return how a session measures a stream.
 
     Parameters
@@ -200,12 +199,18 @@ def measuring(session: Session, /, *, uses_previous: bool = False, still: bool =
     session : Session
     uses_previous : bool; the cloud before is evidence (M6)
     still : bool; the motion between the images is taken out first
+    renew : int; every so many clouds the fringe orders are found anew; else they go on from the
+        cloud before (`fringe3d.session.Session.follow`)
     """
+    numbers = count()
 
     def measure(
-        stacks: tuple[ImageStack, ...], times: tuple[int, ...], before: NDArray[np.float64] | None
+        stacks: tuple[ImageStack, ...], times: tuple[int, ...], before: Measurement | None
     ) -> Measurement:
         taken = tuple(stilled(stack, times) for stack in stacks) if still else stacks
-        return session.measure(taken, previous_mm=before if uses_previous else None)
+        if next(numbers) % renew and before is not None:
+            return session.follow(taken, before)
+        points = before.points if uses_previous and before is not None else None
+        return session.measure(taken, previous_mm=None if points is None else points.points_mm)
 
     return measure
