@@ -8,12 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ball_views import AXIS, BALLS, ball_views
+from ball_views import AXIS, BALLS, ball_views, camera, seen_balls
 from fringe3d.cli import main
 from fringe3d.io.clouds import read_cloud
 from fringe3d.io.results import toml_document, write_points
 from fringe3d.io.rigfile import rig_text
 from fringe3d.io.surfaces import write_e57, write_merged_ply, write_mesh
+from fringe3d.io.tablefile import read_table_axis
 from fringe3d.io.viewfile import camera_of, camera_table
 from fringe3d.model import (
     Fate,
@@ -133,6 +134,22 @@ def test_mistakes_get_one_message(
         main(["merge", *(w.format(one) for w in words), "--out", str(merged / "x"), *turns])
     assert message in capsys.readouterr().err
     assert not (merged / "x").exists()
+
+
+def test_a_ball_that_goes_around_gives_the_tables_axis(tmp_path: Path, capsys: Capture) -> None:
+    device = camera((192, 256))
+    for angle in (0, 70, 150, 240):
+        center = AXIS.turn(np.radians(angle)).apply([14.0, 3.0, 2.0])
+        points = seen_balls(device, np.array([[*center, 6.0]]))
+        np.save(tmp_path / f"{angle}.npy", points[np.isfinite(points[..., 0])])
+    balls = [w for a in (0, 70, 150, 240) for w in ("--ball", str(tmp_path / f"{a}.npy"))]
+    for name, turns in (("a", ["--turns", "0,70,150,240"]), ("b", [])):
+        out = tmp_path / f"{name}.toml"
+        main(["calibrate", "table", *balls, "--diameter", "12", *turns, "--out", str(out)])
+        found = read_table_axis(out)
+        assert found.distance_mm(AXIS.point_mm) < 1e-3
+        assert found.direction @ AXIS.direction > 1 - 1e-8
+    assert "4 places of the ball on a circle" in capsys.readouterr().out
 
 
 # Files

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from ball_views import AXIS, BALLS, ball_views, camera, rays_of, seen_balls
 from fringe3d.errors import EmptyResultError, MethodError
+from fringe3d.geometry import project
 from fringe3d.model import Fate, RigidTransform, SurfaceView, TableAxis, TablePosition
 from fringe3d.register import (
     AdjustOptions,
@@ -101,6 +102,23 @@ def test_normals_of_balls_point_from_their_centres() -> None:
     assert np.percentile(angle, 99) < 1.5
     with pytest.raises(EmptyResultError, match="ball: expected a view with at least"):
         surface_view("ball", device, np.full_like(points, np.nan), np.full(device.shape, 0.01))
+
+
+def test_points_without_neighbours_are_put_together() -> None:
+    """Gray code alone leaves one point in sixteen pixels: normals come from coarser pixels."""
+    device = camera((192, 256))
+    points = seen_balls(device, np.array([[0.0, 0, 0, 12.0]]))
+    sparse = np.full_like(points, np.nan)
+    sparse[1::4, 2::4] = points[1::4, 2::4]
+    view = surface_view("sparse", device, sparse, np.full(device.shape, 0.01))
+    assert view.camera.shape == (48, 64)
+    good = np.isfinite(view.normals[..., 0])
+    assert good.sum() > 0.8 * np.isfinite(sparse[..., 0]).sum()
+    np.testing.assert_allclose(np.linalg.norm(view.points_mm[good], axis=-1), 12.0, atol=1e-9)
+    # The pixel of the coarse camera is where its square of pixels was.
+    pixels = project(view.camera, view.points_mm[good])
+    rows, cols = np.nonzero(good)
+    assert np.abs(pixels - np.stack([cols, rows], axis=-1)).max() < 0.5
 
 
 def test_points_beside_a_surface_land_at_their_distance() -> None:

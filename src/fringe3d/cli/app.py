@@ -25,6 +25,7 @@ from fringe3d.cli import (
     self_calibrating,
     showing,
     simulated,
+    table_calibrating,
 )
 from fringe3d.cli.console import Reporter, say
 from fringe3d.cli.parameters import Json, Overwrite, app, at_least
@@ -48,6 +49,7 @@ __all__ = [
     "self_calibrating",
     "showing",
     "simulated",
+    "table_calibrating",
 ]
 
 

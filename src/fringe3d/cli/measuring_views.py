@@ -8,7 +8,7 @@ import signal
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -163,6 +163,8 @@ def _from_scan(source: Source, options: MeasureOptions) -> tuple[dict[str, Any],
     scan = read_scan(source.path, images=source.images, rig=source.rig)
     if scan.rig is None:
         raise MethodError(f"{source.path}: expected a rig, found none. Name one with --rig")
+    if not scan.stacks[0].plan.fringe_sets:  # points of Gray code alone have no neighbours
+        options = replace(options, drop_edges=False)
     result = measure(scan, options)
     assert result.points is not None
     camera = next(c for c in scan.rig.cameras if c.name == result.main.device_name)

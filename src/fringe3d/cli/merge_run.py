@@ -193,6 +193,7 @@ def write_merge(
 ) -> None:
     """Write the body, completely or not at all."""
     from fringe3d.io.surfaces import MESH_FORMATS, write_e57, write_merged_ply, write_mesh
+    from fringe3d.io.tablefile import table_text
     from fringe3d.report.deviations import deviation_text
     from fringe3d.report.merge_pictures import draw_body, draw_overlaps, draw_reference, write_turn
     from fringe3d.report.merging import merge_markdown, merge_text
@@ -210,7 +211,9 @@ def write_merge(
             if mesh is not None and (kind in options.formats or kind == "ply"):
                 write_mesh(folder / f"mesh.{kind}", mesh, comment=comment)
         if found.table is not None:
-            (folder / "table.toml").write_text(axis_text(record), encoding="utf-8")
+            sigmas = {key: record["table"][key] for key in ("shift_sigma_um", "lean_sigma_urad")}
+            text = table_text(found.table.axis, **sigmas)
+            (folder / "table.toml").write_text(text, encoding="utf-8")
         draw_body(folder / "overview.png", cloud, up, title=merge_text(record))
         draw_overlaps(folder / "overlaps.png", found, names)
         write_turn(folder / "turn.gif", cloud, up)
@@ -240,17 +243,6 @@ def plain(value: Any, /) -> Any:
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return value
-
-
-def axis_text(record: dict[str, Any], /) -> str:
-    """Return the axis as TOML, as `read_axis` reads it."""
-    from fringe3d.io.results import toml_document
-
-    table = record["table"]
-    return toml_document({"format": "fringe3d-table/1", "point_mm": table["point_mm"],
-                          "direction": table["direction"],
-                          "shift_sigma_um": table["shift_sigma_um"],
-                          "lean_sigma_urad": table["lean_sigma_urad"]})  # fmt: skip
 
 
 def parse_turns(text: str | None, /) -> tuple[float, ...] | None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -14,6 +16,9 @@ REACH = 4.0
 """Neighbours belong to one surface up to so many typical distances: slopes up to 76 deg."""
 
 LEAST_POINTS = 200
+
+DENSE, MOST_TOGETHER = 0.5, 8
+"""Part of the points that must have neighbours, and the most pixels put together along a side."""
 
 
 def surface_view(
@@ -45,9 +50,12 @@ def surface_view(
     Notes
     -----
     A normal is that of the plane of least squares through the points of 5 x 5 pixels that belong
-    to the surface.
+    to the surface. Where most points have no neighbours (Gray code alone gives one for each
+    projector pixel), pixels are put together until most have; the points of each are averaged.
     """
-    points = np.ascontiguousarray(points_mm, np.float64)
+    brightness = np.zeros(camera.shape, np.uint8) if grey is None else grey
+    camera, points, sigma, brightness = _dense(camera, points_mm, sigma_mm, brightness)
+    points = np.ascontiguousarray(points, np.float64)
     n_points = int(np.isfinite(points[..., 0]).sum())
     spacing = typical_spacing_mm(points)
     if n_points < LEAST_POINTS or not np.isfinite(spacing):
@@ -62,8 +70,8 @@ def surface_view(
         camera=camera,
         points_mm=points,
         normals=normals,
-        sigma_mm=np.asarray(sigma_mm, np.float32),
-        grey=np.zeros(points.shape[:2], np.uint8) if grey is None else grey,
+        sigma_mm=np.asarray(sigma, np.float32),
+        grey=brightness,
         spacing_mm=spacing,
         position=position,
     )
@@ -75,3 +83,58 @@ def typical_spacing_mm(points_mm: NDArray[np.float64], /) -> float:
     steps = np.linalg.norm(np.concatenate(sides), axis=1)
     steps = steps[np.isfinite(steps)]
     return float(np.median(steps)) if len(steps) else float("nan")
+
+
+def _dense(
+    camera: Device,
+    points: NDArray[np.float64],
+    sigma: NDArray[np.floating],
+    grey: NDArray[np.uint8],
+) -> tuple[Device, NDArray[np.float64], NDArray[np.floating], NDArray[np.uint8]]:
+    """Put pixels together until most points have neighbours."""
+    if _neighboured(points[..., 0]) < DENSE:
+        for factor in range(2, MOST_TOGETHER + 1):
+            found = _together(camera, points, sigma, grey, factor)
+            if _neighboured(found[1][..., 0]) >= DENSE:
+                return found
+    return camera, points, sigma, grey
+
+
+def _neighboured(values: NDArray[np.float64]) -> float:
+    """Return the part of the points that have one to the right and one below."""
+    good = np.isfinite(values)
+    both = good[:-1, :-1] & good[1:, :-1] & good[:-1, 1:]
+    return float(both.sum() / max(int(good.sum()), 1))
+
+
+def _together(
+    camera: Device,
+    points: NDArray[np.float64],
+    sigma: NDArray[np.floating],
+    grey: NDArray[np.uint8],
+    factor: int,
+) -> tuple[Device, NDArray[np.float64], NDArray[np.floating], NDArray[np.uint8]]:
+    """Average the points of squares of pixels."""
+    rows, cols = camera.n_rows // factor, camera.n_cols // factor
+
+    def blocks(values: NDArray[np.floating]) -> NDArray[np.float64]:
+        cut = np.asarray(values, np.float64)[: rows * factor, : cols * factor]
+        parts = cut.reshape(rows, factor, cols, factor, -1)
+        return parts.transpose(0, 2, 1, 3, 4).reshape(rows, cols, factor**2, -1)
+
+    good = np.isfinite(blocks(points)[..., :1])
+    count = good.sum(axis=2)
+
+    def mean(values: NDArray[np.floating]) -> NDArray[np.float64]:
+        total = np.where(good, blocks(values), 0.0).sum(axis=2)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            return np.asarray(total / count)
+
+    coarse = replace(
+        camera, n_rows=rows, n_cols=cols, focal_px=camera.focal_px / factor,
+        center_px=(camera.center_px + 0.5) / factor - 0.5,
+    )  # fmt: skip
+    with np.errstate(invalid="ignore", divide="ignore"):
+        noise = mean(sigma)[..., 0] / np.sqrt(count[..., 0])
+    bright = np.nan_to_num(mean(grey.astype(np.float64))[..., 0]).astype(np.uint8)
+    return coarse, mean(points), noise, bright
