@@ -252,7 +252,7 @@ def test_the_fused_surface_is_that_of_the_balls(
     many = cloud.n_views >= 6
     assert many.mean() > 0.3
     assert 1.4826 * np.median(np.abs(off[many])) < 0.6 * single
-    assert abs(np.median(off)) < 1e-3
+    assert abs(np.median(off)) < 2e-3  # pixels 0.26 mm apart on balls of 4 to 7 mm
     outwards = cloud.points_mm[:, None] - BALLS[:, :3]
     own = outwards[np.arange(len(away)), np.abs(away).argmin(axis=1)]
     own /= np.linalg.norm(own, axis=1, keepdims=True)

@@ -19,9 +19,10 @@ SAME_SURFACE = 4.0
 LAYER = 3.0
 """Typical distances of points within which two layers of one surface may lie apart."""
 
-CLEARLY_BETTER = 1.05
-"""A view whose ray meets the surface so much more steeply stands for the place: the bands where
-two views are alike then overlap a little and do not gape."""
+LATER_BETTER, EARLIER_BETTER = 1.08, 1 / 1.02
+"""How much more steeply the rays of a later view must meet the surface to stand for the place, and
+those of an earlier one: of views that are alike the earlier stands, and between both limits both
+do, so that nothing gapes."""
 
 LOOKED_THROUGH = 2
 """Views that must have looked through a point that none confirms."""
@@ -98,8 +99,9 @@ def _fused_view(
     for j, other in enumerate(views):
         if j != i:
             other_from_own = poses[j].inverse() @ poses[i]
+            better = LATER_BETTER if j > i else EARLIER_BETTER
             _add(sums, other, other_from_own.apply(sample.points_mm),
-                 other_from_own.rotate(sample.normals), sigma, cosine, scale)  # fmt: skip
+                 other_from_own.rotate(sample.normals), sigma, better * cosine, scale)  # fmt: skip
     is_layer = sums.against > sums.weight
     is_through = (sums.n_views == 1) & (sums.n_through >= LOOKED_THROUGH)
     told = np.full(n, int(Fate.KEPT), np.uint8)
@@ -124,7 +126,7 @@ def _add(
     sums: _Sums, other: SurfaceView, points: Floats, normals: Floats, sigma: Floats,
     cosine: Floats, scale: float,
 ) -> None:  # fmt: skip
-    """Add what one other view says."""
+    """Add what one other view says; with a larger `cosine` it stands for the place itself."""
     landed = land_on(other, points, normals)
     layer = LAYER * other.spacing_mm
     with np.errstate(invalid="ignore"):
@@ -133,7 +135,7 @@ def _add(
         is_close = np.abs(landed.distance_mm) <= layer
         beside = ~same & is_close & landed.is_smooth
         through = ~same & ~is_close & (landed.behind_mm < -2 * layer)
-        is_better = same & (landed.cosine > CLEARLY_BETTER * cosine)
+        is_better = same & (landed.cosine > cosine)
     weight = np.maximum(landed.sigma_mm, 1e-9) ** -2.0
     sums.weight[same] += weight[same]
     sums.pull[same] -= (weight * landed.distance_mm)[same]

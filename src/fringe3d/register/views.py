@@ -17,8 +17,9 @@ REACH = 4.0
 
 LEAST_POINTS = 200
 
-DENSE, MOST_TOGETHER = 0.5, 8
-"""Part of the points that must have neighbours, and the most pixels put together along a side."""
+SPARSE, DENSE, MOST_TOGETHER = 0.5, 0.8, 8
+"""Where fewer of the points have neighbours, pixels are put together until so many have; and the
+most that are put together along a side."""
 
 
 def surface_view(
@@ -92,7 +93,7 @@ def _dense(
     grey: NDArray[np.uint8],
 ) -> tuple[Device, NDArray[np.float64], NDArray[np.floating], NDArray[np.uint8]]:
     """Put pixels together until most points have neighbours."""
-    if _neighboured(points[..., 0]) < DENSE:
+    if _neighboured(points[..., 0]) < SPARSE:
         for factor in range(2, MOST_TOGETHER + 1):
             found = _together(camera, points, sigma, grey, factor)
             if _neighboured(found[1][..., 0]) >= DENSE:

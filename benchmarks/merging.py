@@ -1,0 +1,176 @@
+"""Merging against the truth: the table's axis, poses, the merged surface, a view that had moved.
+
+    python benchmarks/merging.py --object machine-part --size 320x256
+    python benchmarks/merging.py --scans SCANS --results RESULTS     # simulated and measured before
+
+Simulates 12 positions and 2 tilts on ``kolibri`` (4 steps, M2), measures, registers with known and
+unknown angles, fuses, and compares with the exact truth. The last line gives one view the
+calibration of a second camera turned by 0.05 degrees.
+"""
+
+from __future__ import annotations
+
+import argparse
+import resource
+import tempfile
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from fringe3d.cli import main as fringe3d
+from fringe3d.cli.measuring_views import Source, measure_views
+from fringe3d.evaluate.deviations import deviations_from_mesh
+from fringe3d.io.recording import read_scan
+from fringe3d.model import RigidTransform, TableAxis
+from fringe3d.options import MeasureOptions
+from fringe3d.pipeline import measure
+from fringe3d.register import RegisterOptions, fuse, odd_views, register, surface_view, vector_of
+from fringe3d.register.table_model import near_point
+from fringe3d.simulate import OBJECTS, PRESETS, knocked
+
+OPTIONS = MeasureOptions(drop_edges=True)
+CELL_MM = 1.0
+BAD = 5
+
+
+def parsed() -> argparse.Namespace:
+    """Return what the command line says."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--object", default="machine-part", choices=["machine-part", "teeth"])
+    parser.add_argument("--size", default="320x256")
+    parser.add_argument("--positions", default="12")
+    parser.add_argument("--scans", type=Path, default=None)
+    parser.add_argument("--results", type=Path, default=None)
+    parser.add_argument("--jobs", type=int, default=2)
+    return parser.parse_args()
+
+
+def main() -> None:
+    """Simulate, measure, judge."""
+    told = parsed()
+    with tempfile.TemporaryDirectory() as folder:
+        scans = told.scans or Path(folder) / "scans"
+        if told.scans is None:
+            fringe3d(["simulate", "kolibri", "--object", told.object, "--plan", "m2",
+                      "--camera-size", told.size, "--positions", told.positions, "--tilts", "0,30",
+                      "--axis-off", "3mm:2deg", "--out", str(scans)])  # fmt: skip
+        paths = sorted(p for p in scans.iterdir() if (p / "scan.toml").is_file())
+        kept = told.results or Path(folder) / "views"
+        kept.mkdir(exist_ok=True)
+        began = time.perf_counter()
+        sources = [Source(name=path.name, path=path) for path in paths]
+        measured = measure_views(sources, OPTIONS, kept, jobs=told.jobs,
+                                 finished=lambda *_: None)  # fmt: skip
+        print(f"{len(paths)} scans measured in {time.perf_counter() - began:.0f} s")
+        judge(paths, measured.views, told.object)
+
+
+def judge(paths: list[Path], views: list, thing: str) -> None:  # type: ignore[type-arg]
+    """Print axis, poses, surface and the view that had moved, against the truth."""
+    truths = [np.load(path / "truth.npz") for path in paths]
+    world_from_object = [_transform(truth["world_from_object"]) for truth in truths]
+    true = [world_from_object[0] @ pose.inverse() for pose in world_from_object]
+    axis = TableAxis(point_mm=[0, 0, 0], direction=[0, 0, 1])
+    if "table_direction" in truths[0]:
+        axis = TableAxis(point_mm=truths[0]["table_point_mm"],
+                         direction=truths[0]["table_direction"])  # fmt: skip
+    for angles in ("known", "unknown"):
+        began = time.perf_counter()
+        found = register(views, RegisterOptions(angles=angles))  # type: ignore[arg-type]
+        seconds = time.perf_counter() - began
+        table = found.table
+        assert table is not None
+        off = near_point(axis, table.middle_mm) - table.middle_mm
+        lean = np.linalg.norm(np.cross(table.axis.direction, axis.direction))
+        errors = np.array([vector_of(f @ t.inverse(), found.middle_mm)
+                           for f, t in zip(found.body_from_view, true, strict=True)])  # fmt: skip
+        rms = np.sqrt((errors[1:] ** 2).mean(axis=0))
+        print(
+            f"angles {angles}: axis {1e3 * np.linalg.norm(off):.2f} um (sigma "
+            f"{1e3 * table.shift_sigma_mm:.2f}), {1e6 * lean:.1f} urad (sigma "
+            f"{1e6 * table.lean_sigma:.1f}); poses {1e3 * np.linalg.norm(rms[3:]):.1f} um, "
+            f"{1e6 * np.linalg.norm(rms[:3]):.0f} urad; closure {1e3 * found.closure_mm:.1f} um; "
+            f"{seconds:.0f} s"
+        )
+    began = time.perf_counter()
+    found = register(views, RegisterOptions(angles="known"))
+    cloud = fuse(views, found.body_from_view, noise_factor=found.noise_factor)
+    print(f"fused in {time.perf_counter() - began:.0f} s: {len(cloud.points_mm):,} points; "
+          f"{ {f.name: n for f, n in cloud.counts().items()} }")  # fmt: skip
+    surface(cloud, views, truths, world_from_object, thing)
+    bad_view(paths, views, true)
+    memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
+    print(f"peak memory {memory:.1f} GB")
+
+
+def _transform(matrix: np.ndarray) -> RigidTransform:
+    return RigidTransform(rotation=matrix[:3, :3], translation=matrix[:3, 3])
+
+
+def surface(cloud, views, truths, poses, thing: str) -> None:  # type: ignore[no-untyped-def]
+    """Compare the merged surface, and the first view, with the true mesh."""
+    preset = PRESETS["kolibri"](views[0].camera.shape[::-1])
+    mesh = preset.scene(OBJECTS[thing](), background="none").thing
+    triangles = mesh.vertices_mm[mesh.faces]
+    own = poses[0].inverse()
+    merged = deviations_from_mesh(own.apply(cloud.points_mm), triangles, reach_mm=1.0).signed_mm
+    first = views[0].points_mm[views[0].is_valid]
+    single = deviations_from_mesh(own.apply(first), triangles, reach_mm=1.0).signed_mm
+    cells = np.floor(cloud.points_mm / CELL_MM).astype(int)
+    which = np.unique(cells, axis=0, return_inverse=True)[1].ravel()
+    order = np.argsort(which, kind="stable")
+    parts = np.split(merged[order], np.cumsum(np.bincount(which))[:-1])
+    systematic = np.array([np.nanmedian(part) for part in parts if len(part) >= 10])
+    print(
+        f"deviation from the true surface, um: merged robust sigma {_robust(merged):.1f}, mean "
+        f"{1e3 * np.nanmean(merged):+.1f}, sigma {1e3 * np.nanstd(merged):.1f}, 95 % below "
+        f"{1e3 * np.nanpercentile(np.abs(merged), 95):.1f}; first view robust "
+        f"{_robust(single):.1f}, sigma {1e3 * np.nanstd(single):.1f}, 95 % below "
+        f"{1e3 * np.nanpercentile(np.abs(single), 95):.1f}"
+    )
+    print(
+        f"systematic part (medians of cells of {CELL_MM:g} mm), um: median "
+        f"{1e3 * np.median(systematic):+.2f}, half of them within "
+        f"{1e3 * np.median(np.abs(systematic)):.1f}, 90 % within "
+        f"{1e3 * np.percentile(np.abs(systematic), 90):.1f}"
+    )
+    seen = []
+    for truth, pose in zip(truths, poses, strict=True):
+        good = truth["is_object"] & truth["lit"] & truth["in_volume"] & truth["seen_by_c2"]
+        seen.append(pose.inverse().apply(truth["points_mm"][good][::7]))
+    distance = cKDTree(own.apply(cloud.points_mm)).query(np.concatenate(seen))[0]
+    spacing = views[0].spacing_mm
+    print(
+        f"of what the views saw lit, by both cameras: {(distance < 2 * spacing).mean():.2%} have a "
+        f"merged point within {2 * spacing:.2f} mm"
+    )
+
+
+def _robust(values_mm: np.ndarray) -> float:
+    return 1482.6 * float(np.nanmedian(np.abs(values_mm - np.nanmedian(values_mm))))
+
+
+def bad_view(paths, views, true) -> None:  # type: ignore[no-untyped-def]
+    """Give one view a calibration that is 0.05 degrees off, in three directions."""
+    scan = read_scan(paths[BAD])
+    assert scan.rig is not None
+    for seed in range(3):
+        rig = knocked(scan.rig, "c2", turn_deg=0.05, shift_mm=0.0, seed=seed)
+        points = measure(replace(scan, rig=rig), OPTIONS).points
+        assert points is not None
+        if not points.is_valid.any():
+            print(f"view {views[BAD].name}, c2 turned by 0.05 deg: no points left")
+            continue
+        changed = list(views)
+        changed[BAD] = surface_view(views[BAD].name, views[BAD].camera, points.points_mm,
+                                    points.sigma_mm, position=views[BAD].position)  # fmt: skip
+        odd = odd_views(register(changed, RegisterOptions(n_samples=1500), start=true))
+        print(f"view {views[BAD].name}, c2 turned by 0.05 deg: named "
+              f"{[(views[o.view].name, o.why) for o in odd]}")  # fmt: skip
+
+
+if __name__ == "__main__":
+    main()
