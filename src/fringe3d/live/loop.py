@@ -39,7 +39,7 @@ class Figures:
     dropped : int; whole sequences that were not measured, for newer ones were there
     failed : int; that gave no cloud
     latency_ms : float, ms; from the newest image to its cloud, median of the newest clouds
-    clouds_per_s : float; since the first image
+    clouds_per_s : float; since the first cloud, which may have had to wait for the compiler
     """
 
     moments: int
@@ -90,17 +90,19 @@ class Live:
         self._news = threading.Condition()
         self._stop, self._is_over = threading.Event(), False
         self._problem: BaseException | None = None
-        self._began_s = clock.now()
+        self._first_s = clock.now()
         self._count = dict.fromkeys(("moments", "lost", "clouds", "dropped", "failed"), 0)
         self._latencies = deque[float](maxlen=KEPT_TIMES)
 
     @property
     def figures(self) -> Figures:
         """Return how it does."""
-        passed = max(self._clock.now() - self._began_s, 1e-9)
+        passed = max(self._clock.now() - self._first_s, 1e-9)
         latency = float(np.median(self._latencies)) if self._latencies else float("nan")
         return Figures(
-            **self._count, latency_ms=1000 * latency, clouds_per_s=self._count["clouds"] / passed
+            **self._count,
+            latency_ms=1000 * latency,
+            clouds_per_s=max(self._count["clouds"] - 1, 0) / passed,
         )
 
     def stop(self) -> None:
@@ -184,6 +186,8 @@ class Live:
         except Fringe3DError:  # a hand before the lens is no reason to end
             self._count["failed"] += 1
             return None
+        if not self._count["clouds"]:
+            self._first_s = self._clock.now()
         self._count["clouds"] += 1
         self._latencies.append(self._clock.now() - job.moment.time_s)
         return result
