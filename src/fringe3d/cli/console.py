@@ -33,7 +33,10 @@ class Reporter:
 
     @contextmanager
     def running(self) -> Iterator[Reporter]:
-        """Show the bars while the block runs."""
+        """Show the bars while the block runs; they begin anew with each block."""
+        for task in self._tasks.values():
+            self._progress.remove_task(task)
+        self._tasks, self._stages = {}, 0
         with self._progress:
             yield self
 
