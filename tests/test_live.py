@@ -34,20 +34,25 @@ def moment(number: int) -> Moment:
     return Moment(number=number, images={"c1": np.full((2, 3), number, np.uint8)}, time_s=0.0)
 
 
-def newest(stacks: tuple[ImageStack, ...]) -> list[int]:
-    return [int(value) for value in stacks[0].images[:, 0, 0]] if stacks else []
+def newest(window: SlidingWindow, number: int) -> list[int]:
+    ordered = window.add(moment(number))
+    return seen(window.stacks(ordered)) if ordered else []
+
+
+def seen(stacks: tuple[ImageStack, ...]) -> list[int]:
+    return [int(value) for value in stacks[0].images[:, 0, 0]]
 
 
 def test_each_new_image_gives_a_sequence_in_the_order_of_the_plan() -> None:
     window = SlidingWindow(PLAN, INFOS)
-    found = [newest(window.add(moment(number))) for number in range(6)]
+    found = [newest(window, number) for number in range(6)]
     assert found == [[], [], [], [0, 1, 2, 3], [4, 1, 2, 3], [4, 5, 2, 3]]
     assert window.newest == 1
 
 
 def test_after_a_lost_image_no_old_one_is_mixed_in() -> None:
     window = SlidingWindow(PLAN, INFOS)
-    found = [newest(window.add(moment(number))) for number in (0, 1, 2, 3, 5, 6, 7, 8)]
+    found = [newest(window, number) for number in (0, 1, 2, 3, 5, 6, 7, 8)]
     assert found == [[], [], [], [0, 1, 2, 3], [], [], [], [8, 5, 6, 7]]
 
 
@@ -68,7 +73,7 @@ def test_while_one_sequence_is_measured_older_ones_that_wait_are_dropped(
     measured, result = [], measure(recording[0])
 
     def slow(stacks: tuple[ImageStack, ...], *_: object) -> Measurement:
-        measured.append(newest(stacks))
+        measured.append(seen(stacks))
         first_begun.set()
         all_came.wait(10)
         return result

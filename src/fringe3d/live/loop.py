@@ -60,9 +60,8 @@ class Figures:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Job:
-    stacks: tuple[ImageStack, ...]
-    times: tuple[int, ...]
-    moment: Moment
+    ordered: tuple[Moment, ...]
+    newest: Moment
 
 
 Show = Callable[[Measurement, tuple[ImageStack, ...], Figures], None]
@@ -127,11 +126,12 @@ class Live:
         before: Measurement | None = None
         try:
             while (job := self._next_job()) is not None:
-                result = self._measured(job, before)
+                stacks = self._window.stacks(job.ordered)
+                result = self._measured(job, stacks, before)
                 if result is None:
                     continue
                 before = result
-                show(result, job.stacks, self.figures)
+                show(result, stacks, self.figures)
                 if most_clouds is not None and self._count["clouds"] >= most_clouds:
                     break
         finally:
@@ -151,9 +151,9 @@ class Live:
                 if last is not None:
                     self._count["lost"] += moment.number - last - 1
                 last = moment.number
-                stacks = self._window.add(moment)
-                if stacks:
-                    self._offer(_Job(stacks=stacks, times=self._window.times, moment=moment))
+                ordered = self._window.add(moment)
+                if ordered:
+                    self._offer(_Job(ordered=ordered, newest=moment))
         except Fringe3DError as problem:
             self._problem = problem
         finally:
@@ -180,16 +180,19 @@ class Live:
             self._waiting.clear()
         return job
 
-    def _measured(self, job: _Job, before: Measurement | None) -> Measurement | None:
+    def _measured(
+        self, job: _Job, stacks: tuple[ImageStack, ...], before: Measurement | None
+    ) -> Measurement | None:
+        times = tuple(moment.number for moment in job.ordered)
         try:
-            result = self._measure(job.stacks, job.times, before)
+            result = self._measure(stacks, times, before)
         except Fringe3DError:  # a hand before the lens is no reason to end
             self._count["failed"] += 1
             return None
         if not self._count["clouds"]:
             self._first_s = self._clock.now()
         self._count["clouds"] += 1
-        self._latencies.append(self._clock.now() - job.moment.time_s)
+        self._latencies.append(self._clock.now() - job.newest.time_s)
         return result
 
 

@@ -43,8 +43,8 @@ class SlidingWindow:
     ...                        {"c1": CameraInfo(shape=(2, 2))})
     >>> for number in range(5):
     ...     image = np.full((2, 2), number, np.uint8)
-    ...     stacks = window.add(Moment(number=number, images={"c1": image}, time_s=0.0))
-    >>> stacks[0].images[:, 0, 0].tolist()
+    ...     ordered = window.add(Moment(number=number, images={"c1": image}, time_s=0.0))
+    >>> window.stacks(ordered)[0].images[:, 0, 0].tolist()
     [3, 4, 2]
     """
 
@@ -57,14 +57,8 @@ class SlidingWindow:
         """Return the place in the plan of the newest image; -1 where there is none."""
         return self._moments[-1].number % self._plan.n_images if self._moments else -1
 
-    @property
-    def times(self) -> tuple[int, ...]:
-        """Return when the images of the plan were taken, counted in images, in its order."""
-        n = self._plan.n_images
-        return tuple(m.number for m in sorted(self._moments, key=lambda kept: kept.number % n))
-
-    def add(self, moment: Moment, /) -> tuple[ImageStack, ...]:
-        """Add images; return the stacks of all cameras, none until a sequence is whole.
+    def add(self, moment: Moment, /) -> tuple[Moment, ...]:
+        """Add images; return those of a sequence in its order, none until it is whole.
 
         After a gap the window begins again: images of before would lie a whole sequence back.
         """
@@ -74,7 +68,10 @@ class SlidingWindow:
         self._moments = [*self._moments[1 - n :], moment] if n > 1 else [moment]
         if len(self._moments) < n:
             return ()
-        ordered = sorted(self._moments, key=lambda kept: kept.number % n)
+        return tuple(sorted(self._moments, key=lambda kept: kept.number % n))
+
+    def stacks(self, ordered: tuple[Moment, ...], /) -> tuple[ImageStack, ...]:
+        """Return the images of a sequence as stacks of all cameras."""
         return tuple(
             ImageStack(
                 images=np.stack([kept.images[name] for kept in ordered]),
