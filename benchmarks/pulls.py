@@ -2,12 +2,19 @@
 
 python -m benchmarks.pulls                                   # all of it, unfiltered: hours
 python -m benchmarks.pulls --objects plane --steps 4 --noises 0.01 --filters none,medium
+python -m benchmarks.pulls --steps 4 --noises 0.01 --methods m1 --places cameras,best,0.3px
+python -m benchmarks.pulls --steps 3 --noises 0.003 --full-well 10000      # mostly shot noise
+
+Places: of both cameras, of cameras and projector (best), or so with a projector whose calibration
+is off by so many pixels. The pull is that of all points within six sigma; the robust one is that
+of the middle half of them.
 """
 
 from __future__ import annotations
 
 import argparse
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +22,7 @@ from scipy.ndimage import binary_dilation, binary_erosion
 
 from benchmarks.orders import scenes
 from fringe3d.evaluate import Sphere, errors_along_rays, probe_plane, probe_spheres
+from fringe3d.model import Rig
 from fringe3d.options import MeasureOptions
 from fringe3d.pipeline import Measurement, measure
 
@@ -29,8 +37,8 @@ BALL_RADIUS_MM, JUMP_MM = 10.0, 0.5
 OUTLIER_MM = 0.1
 """Ten times the noise of unfiltered points with 4 steps."""
 
-COLUMNS = ("object", "noise", "steps", "method", "filter", "points", "sigma_um", "error_um", "pull",
-           "pull_robust", "gross_%", "edge_outliers_%", "form")  # fmt: skip
+COLUMNS = ("object", "noise", "steps", "method", "filter", "place", "points", "sigma_um",
+           "error_um", "pull", "pull_robust", "gross_%", "edge_outliers_%", "form")  # fmt: skip
 
 
 def main() -> None:
@@ -44,38 +52,60 @@ def main() -> None:
     options.add_argument("--steps", default="3,4,8,16")
     options.add_argument("--methods", default="m1,m6")
     options.add_argument("--filters", default="none")
+    options.add_argument("--places", default="cameras")
+    options.add_argument("--full-well", type=float, default=scenes.FULL_WELL_E)
     options.add_argument("--size", default="640x512")
     wanted = options.parse_args()
     width, height = map(int, wanted.size.split("x"))
+    scenes.FULL_WELL_E = wanted.full_well
+    ways = [
+        (method, strength, place)
+        for method in wanted.methods.split(",")
+        for strength in wanted.filters.split(",")
+        for place in wanted.places.split(",")
+    ]
     print("  ".join(COLUMNS), flush=True)
     for thing in wanted.objects.split(","):
         for noise in map(float, wanted.noises.split(",")):
             for steps in map(int, wanted.steps.split(",")):
                 scenes.STEPS = steps
                 scene = scenes.Scene(wanted.preset, thing, noise, (width, height))
-                for line in _lines(scene, wanted.methods.split(","), wanted.filters.split(",")):
+                for line in _lines(scene, ways):
                     print(line, flush=True)
 
 
-def _lines(scene: scenes.Scene, methods: list[str], filters: list[str]) -> Iterator[str]:
+def _lines(scene: scenes.Scene, ways: list[tuple[str, str, str]]) -> Iterator[str]:
     recording = scenes.recorded(scene)
-    for method in methods:
-        for strength in filters:
-            options = MeasureOptions(method=method, filter=strength)  # type: ignore[arg-type]
-            try:
-                result = measure(recording.scan, options)
-            except ValueError as problem:
-                yield f"{scene}, {method}, {strength}: {problem}"
-                continue
-            yield _figures(scene, recording, result, method, strength)
+    for method, strength, place in ways:
+        options = MeasureOptions(
+            method=method,  # type: ignore[arg-type]
+            filter=strength,  # type: ignore[arg-type]
+            best_estimate=place != "cameras",
+        )
+        off_px = float(place.removesuffix("px")) if place.endswith("px") else 0.0
+        scan = replace(recording.scan, rig=_with_projector_off(recording.rig, off_px))
+        try:
+            result = measure(scan, options)
+        except ValueError as problem:
+            yield f"{scene}, {method}, {strength}, {place}: {problem}"
+            continue
+        yield _figures(scene, recording, result, (method, strength, place))
+
+
+def _with_projector_off(rig: Rig, off_px: float) -> Rig:
+    """Return a rig whose projector looks so much aside, and enlarges by as much at its border."""
+    projector = rig.projector
+    assert projector is not None
+    center_px = np.add(projector.center_px, (off_px, 0.0))
+    focal_px = projector.focal_px * (1 + off_px / (projector.n_cols / 2))
+    return replace(rig, projector=replace(projector, center_px=center_px, focal_px=focal_px))
 
 
 def _figures(
     scene: scenes.Scene,
     recording: scenes.Recording,
     result: Measurement,
-    method: str,
-    strength: str,
+    way: tuple[str, str, str],
 ) -> str:
     points, reference = result.points, recording.reference
     assert points is not None
@@ -97,7 +127,7 @@ def _figures(
     elif scene.thing == "plane":
         form = f"sigma {1000 * probe_plane(found).fit.sigma_mm:.2f} um"
     values = (
-        scene.thing, f"{100 * scene.noise:g}%", str(scenes.STEPS), method, strength,
+        scene.thing, f"{100 * scene.noise:g}%", str(scenes.STEPS), *way,
         str(int(points.is_valid.sum())), f"{1000 * np.median(points.sigma_mm[inner]):.2f}",
         f"{1000 * np.sqrt((error[inner][fine] ** 2).mean()):.2f}", f"{z[fine].std():.3f}",
         f"{1.4826 * np.median(np.abs(z - np.median(z))):.3f}", f"{100 * (~fine).mean():.2f}",

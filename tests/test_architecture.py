@@ -53,8 +53,11 @@ ALLOWED: dict[str, set[str]] = {
         "segments",
         "triangulate",
     },
+    # Points of cameras and projector: it weighs the noise of phases and places.
+    "combining": NOUNS | {"correspond", "geometry", "patterns"},
     "pipeline": NOUNS
     | {
+        "combining",
         "decode",
         "correspond",
         "health",

@@ -156,7 +156,7 @@ def test_a_filtered_measurement_is_less_noisy_and_its_sigma_true(
     spread, gross = {}, {}
     strengths: tuple[Filter, ...] = ("none", "medium")
     for strength in strengths:
-        points = measure(scan, MeasureOptions(filter=strength)).points
+        points = measure(scan, MeasureOptions(filter=strength, blur_px=None)).points
         assert points is not None
         off = ((points.points_mm - truth.points_mm) * away).sum(axis=-1)[points.is_valid]
         spread[strength] = 1.4826 * float(np.median(np.abs(off - np.median(off))))

@@ -6,6 +6,7 @@ import tomllib
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -41,8 +42,14 @@ PULL = (0.9, 1.15)
 MAX_OUTLIERS = 0.005
 """Points with more than 5 sigma: noise alone gives 6e-7, edges of the sphere a few pixels."""
 
-PROJECTOR = MeasureOptions(method="projector")
-METHODS = [pytest.param(MeasureOptions(), id="stereo"), pytest.param(PROJECTOR, id="projector")]
+
+def ideal(**options: Any) -> MeasureOptions:
+    """Return options for images whose pixels are points: no area, and no lens."""
+    return MeasureOptions(blur_px=None, **options)
+
+
+STEREO, PROJECTOR = ideal(), ideal(method="projector")
+METHODS = [pytest.param(STEREO, id="stereo"), pytest.param(PROJECTOR, id="projector")]
 
 
 def along_ray(result: Measurement, rig: Rig, truth: Truth) -> Floats:
@@ -66,7 +73,7 @@ def robust_std(values: Floats) -> float:
 
 @pytest.fixture(scope="module")
 def measured(recording: Recording) -> Measurement:
-    return measure(recording[0])
+    return measure(recording[0], STEREO)
 
 
 @pytest.fixture(scope="module")
@@ -152,7 +159,7 @@ def test_sphere_through_the_points_has_the_true_radius_and_centre(
 
 def test_two_runs_give_identical_results(measured: Measurement, recording: Recording) -> None:
     """Threads must not matter."""
-    again = measure(recording[0])
+    again = measure(recording[0], STEREO)
     assert measured.points is not None
     assert again.points is not None
     np.testing.assert_array_equal(measured.points.points_mm, again.points.points_mm)
@@ -219,7 +226,7 @@ def test_keep_images_leaves_out_steps_and_coarse_bits_only(rig: Rig) -> None:
                     angles=(0.0, np.pi / 2), inverses=True, light_dark=True)  # fmt: skip
     images = np.arange(plan.n_images, dtype=np.uint8)[:, None, None]
     stack = ImageStack(images=images, plan=plan, device_name="c1", saturation_dn=255.0)
-    kept = keep_images(stack, MeasureOptions(n_shifts=4, gray_bits=3))
+    kept = keep_images(stack, ideal(n_shifts=4, gray_bits=3))
     for fringe_set in kept.plan.fringe_sets:
         shifts = np.degrees(fringe_set.shifts)
         np.testing.assert_allclose([0, 90, 180, 270], shifts, atol=1e-9)
@@ -230,15 +237,15 @@ def test_keep_images_leaves_out_steps_and_coarse_bits_only(rig: Rig) -> None:
     # Images and patterns stay together: the image holds the place of its pattern.
     places = kept.images.ravel().tolist()
     assert [plan.patterns[i] for i in places] == list(kept.plan.patterns)
-    assert keep_images(stack, MeasureOptions()).plan == plan
-    assert keep_images(stack, MeasureOptions(gray_bits=0)).plan.gray_sets == ()
+    assert keep_images(stack, ideal()).plan == plan
+    assert keep_images(stack, ideal(gray_bits=0)).plan.gray_sets == ()
 
 
 @pytest.mark.parametrize("n_shifts", [2, 5])
 def test_impossible_numbers_of_steps_raise(n_shifts: int, recording: Recording) -> None:
     """Fewer than three, or more than recorded."""
     with pytest.raises(MethodError, match=r"--shifts: expected 3 to 4.*found"):
-        measure(recording[0], MeasureOptions(n_shifts=n_shifts))
+        measure(recording[0], ideal(n_shifts=n_shifts))
 
 
 @pytest.mark.parametrize("method", ["auto", "projector"])
@@ -246,7 +253,7 @@ def test_three_of_four_steps_give_the_same_surface_with_a_larger_sigma(
     method: str, rig: Rig, recording: Recording, measured: Measurement
 ) -> None:
     """Steps of 0, 90 and 270 deg: the mean variance of C and S is 3/4 instead of 1/2."""
-    options = MeasureOptions(method="projector" if method == "projector" else "auto", n_shifts=3)
+    options = ideal(method="projector" if method == "projector" else "auto", n_shifts=3)
     result = measure(recording[0], options)
     assert measured.points is not None
     assert result.phases[0].directions[0].wrapped[0].n_shifts == 3
@@ -261,7 +268,7 @@ def test_fewer_gray_bits_give_the_same_points_while_they_are_unique_on_the_segme
 ) -> None:
     """Bit by bit; the finest three leave four periods and their mirror images."""
     assert measured.points is not None
-    result = measure(recording[0], MeasureOptions(gray_bits=gray_bits))
+    result = measure(recording[0], ideal(gray_bits=gray_bits))
     assert result.points is not None
     assert method == result.method
     both = measured.points.is_valid & result.points.is_valid
@@ -348,7 +355,7 @@ def stacks_of(recording: Recording, n_cameras: int) -> tuple[ImageStack, ...]:
 
 def test_method_follows_from_rig_and_cameras(rig: Rig, recording: Recording) -> None:
     """Two cameras before camera and projector; without a rig phases."""
-    options = MeasureOptions()
+    options = ideal()
     two, one = stacks_of(recording, 2), stacks_of(recording, 1)
     single = replace(rig, cameras=rig.cameras[:1])
     assert choose_method(rig, two, options).method == "m1"
@@ -369,21 +376,21 @@ def test_methods_that_rig_or_images_do_not_allow_are_refused_in_words(
     one = replace(scan, stacks=scan.stacks[:1])
     cases: list[tuple[Scan, MeasureOptions, str]] = [
         (replace(scan, rig=None), PROJECTOR, r"--method projector: expected a calibrated rig"),
-        (one, MeasureOptions(method="m1"), r"1 camera\(s\) in the scan.*--method projector"),
+        (one, ideal(method="m1"), r"1 camera\(s\) in the scan.*--method projector"),
         (replace(scan, rig=unknown), PROJECTOR, r"calibrated projector.*--method m1"),
-        (replace(one, rig=alone), MeasureOptions(), r"record with a second camera"),
-        (replace(scan, rig=unknown), MeasureOptions(method="m2"), r"a full one.*--gray-bits"),
+        (replace(one, rig=alone), ideal(), r"record with a second camera"),
+        (replace(scan, rig=unknown), ideal(method="m2"), r"a full one.*--gray-bits"),
         (
             replace(scan, rig=unknown),
-            MeasureOptions(method="m3"),
+            ideal(method="m3"),
             r"expected a calibrated projector",
         ),
-        (scan, MeasureOptions(method="m0"), r"fringes of two directions, found 1.*--method m1"),
-        (scan, MeasureOptions(method="m4"), r"fringes of two directions, found 1.*--method m1"),
-        (scan, MeasureOptions(method="m5"), r"up to one period.*m2 with 2 cyclic.*closer"),
-        (scan, MeasureOptions(method="m1", gray_bits=3), r"periods apart.*--method m2"),
-        (scan, MeasureOptions(depth_mm=(400.0, 300.0)), r"--depth:.*400.0 and 300.0"),
-        (scan, MeasureOptions(depth_mm=(-300.0, -200.0)), r"--depth:.*lie behind it"),
+        (scan, ideal(method="m0"), r"fringes of two directions, found 1.*--method m1"),
+        (scan, ideal(method="m4"), r"fringes of two directions, found 1.*--method m1"),
+        (scan, ideal(method="m5"), r"up to one period.*m2 with 2 cyclic.*closer"),
+        (scan, ideal(method="m1", gray_bits=3), r"periods apart.*--method m2"),
+        (scan, ideal(depth_mm=(400.0, 300.0)), r"--depth:.*400.0 and 300.0"),
+        (scan, ideal(depth_mm=(-300.0, -200.0)), r"--depth:.*lie behind it"),
     ]
     for case, options, message in cases:
         with pytest.raises(MethodError, match=message):
@@ -394,7 +401,7 @@ def test_without_a_rig_there_are_phases_and_no_points(
     recording: Recording, measured: Measurement
 ) -> None:
     """The same phases as with it."""
-    result = measure(replace(recording[0], rig=None))
+    result = measure(replace(recording[0], rig=None), STEREO)
     assert result.method == "phase"
     assert result.points is None
     assert result.matches is None
@@ -408,7 +415,7 @@ def test_depth_range_keeps_exactly_the_points_between_the_two_depths(
 ) -> None:
     """Along the principal ray of C1; border pixels within 0.1 mm may fall either way."""
     assert measured.points is not None
-    result = measure(recording[0], MeasureOptions(depth_mm=(325.0, 332.0)))
+    result = measure(recording[0], ideal(depth_mm=(325.0, 332.0)))
     depth = rig.cameras[0].device_from_world.apply(measured.points.points_mm)[..., 2]
     inside = (depth > 325.1) & (depth < 331.9)
     outside = (depth < 324.9) | (depth > 332.1)
@@ -462,7 +469,7 @@ def test_wrong_pose_of_the_second_camera_does_not_pass_in_silence(
     cameras = (rig.cameras[0], mistake(rig.cameras[1]))
     volume = rig.volume if has_volume else None
     wrong = replace(rig, cameras=cameras, volume=volume, projector=None)
-    assert "calibration" in told(replace(recording[0], rig=wrong), MeasureOptions())
+    assert "calibration" in told(replace(recording[0], rig=wrong), ideal())
 
 
 @pytest.fixture(scope="module")
@@ -544,7 +551,7 @@ def test_images_without_fringes_raise_with_the_reason_and_its_count(
     """All dark, all saturated; with and without a rig."""
     scan = filled(recording[0], level)
     if not has_rig:
-        scan, options = replace(scan, rig=None), MeasureOptions()
+        scan, options = replace(scan, rig=None), ideal()
     with pytest.raises(EmptyResultError, match=f"81920 {reason}"):
         measure(scan, options)
 
@@ -649,7 +656,7 @@ def test_a_result_without_points_is_written(
 ) -> None:
     assert measured.points is not None
     nothing = replace(measured, points=open_everywhere(measured.points))
-    write_result(tmp_path / "out", recording[0], MeasureOptions(), nothing)
+    write_result(tmp_path / "out", recording[0], ideal(), nothing)
     record = tomllib.loads((tmp_path / "out" / "measure.toml").read_text())
     assert record["summary"].startswith("no points of 81,920 pixels")
     assert record["pixels"]["accepted"] == 0

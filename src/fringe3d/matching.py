@@ -27,6 +27,7 @@ from fringe3d.correspond import (
     orders_of_before,
     place_lost,
     quiet,
+    with_true_sigma,
 )
 from fringe3d.decode import CameraPhases, has_mirrored_neighbours
 from fringe3d.design.gray import BEYOND
@@ -298,7 +299,8 @@ def _match_three(
             views.phases1, views.phases2, views.camera1, views.camera2, projector, volume,
             confirmed.half_px, rejection=confirmed.rejection, located=confirmed.located,
         )  # fmt: skip
-        return Matched(matches, confirmed.bias, located=confirmed.located)
+        matches, found = with_true_sigma(matches, views.phases1, views.phases2, confirmed.located)
+        return Matched(matches, confirmed.bias, located=found)
     least = options.min_order_probability
     if least is None:
         least = STRICT_PROBABILITY if options.strict else MIN_PROBABILITY
@@ -319,6 +321,7 @@ def _match_three(
         chosen.phases, views.phases2, views.camera1, views.camera2, projector, volume,
         chosen.half_px, rejection=located.met.rejection, located=located,
     )  # fmt: skip
+    matches, found = with_true_sigma(matches, chosen.phases, views.phases2, located)
     matches = place_lost(matches, chosen, views.camera1, views.camera2, projector)
     good = matches.rejection == 0
     matches = replace(
@@ -326,7 +329,7 @@ def _match_three(
         fringe_order=np.where(good, chosen.phases.order_class, NO_ORDER),
         order_probability=np.where(good, doubt_at_borders(chosen.probability, good), np.nan),
     )
-    return Matched(matches, chosen.bias, chosen.rival_shift, located=located)
+    return Matched(matches, chosen.bias, chosen.rival_shift, located=found)
 
 
 def _turns_of(

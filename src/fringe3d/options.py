@@ -51,6 +51,10 @@ class MeasureOptions:
         AMBIGUOUS; 0 takes the best that fits. None is 0.9, and 0.99 if strict
     filter : "none", "light", "medium" or "strong"; less noise of the phases, see
         `fringe3d.decode.filtering`
+    blur_px : float or None, px; standard deviation of the lens blur of the cameras, of which the
+        phases are corrected, see `fringe3d.decode.footprint`; None leaves them as they are
+    best_estimate : bool; where two cameras see the points and the projector is calibrated, its
+        phases place them, too, see `fringe3d.combining`
     own_response : bool; take out of the phases what a nonlinear response (gamma) does to them, as
         these images show it; else that of the stacks
     follow : bool; the fringe orders are those of the frame before, gone on from: fast, and only
@@ -68,6 +72,8 @@ class MeasureOptions:
     min_modulation_dn: float | None = None
     min_order_probability: float | None = None
     filter: Filter = "none"
+    blur_px: float | None = 0.4
+    best_estimate: bool = False
     own_response: bool = False
     follow: bool = False
 

@@ -10,9 +10,11 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from fringe3d.combining import combined
 from fringe3d.correspond import twin_share
 from fringe3d.decode import (
     CameraPhases,
+    centred_camera,
     decode,
     decode_apart,
     filtered_camera,
@@ -205,6 +207,8 @@ def measure(
             matches, camera, other, volume=volume, max_epipolar_px=_epipolar_limit(matches),
             known=matched.known,
         )  # fmt: skip
+        if options.best_estimate:
+            points = _with_projector(points, matches, phases, camera, other, projector)
     with clock("checking"):
         findings = [*of_images(), *findings, *check_epipolar(matches), *check_yield(points)]
         findings += of_texture()
@@ -215,6 +219,28 @@ def measure(
     result = replace(result, matches=matches, points=points, bias=matched.bias,
                      findings=tuple(findings))  # fmt: skip
     return _finish(result, clock)
+
+
+def _with_projector(
+    points: PointMap,
+    matches: Correspondences,
+    phases: Sequence[CameraPhases],
+    camera: Device,
+    other: Device,
+    projector: Device | None,
+) -> PointMap:
+    """Return points of both cameras and the projector; refuse it where one of them is missing."""
+    if projector is None or other.role != "camera":
+        raise MethodError(
+            "--best-estimate: expected two cameras and a calibrated projector, found "
+            + ("one camera" if projector is not None else "no projector in the rig")
+            + ". Leave --best-estimate out, or calibrate the projector "
+            "(fringe3d calibrate projector --from SCAN)"
+        )
+    maps = [direction.main for direction in phases[0].directions]
+    second = phases[1].directions[0].like(maps[0])
+    best, _ = combined(points, matches, maps, second, (camera, other), projector)
+    return best
 
 
 def _decoded(
@@ -231,9 +257,16 @@ def _decoded(
 def _filtered(
     phases: tuple[CameraPhases, ...], options: MeasureOptions
 ) -> tuple[CameraPhases, ...]:
-    """Return the phases filtered; those of the first camera are looked at in its pixels alone."""
+    """Return the phases at pixel centres, filtered; the first camera is looked at in its pixels
+    alone."""
+    blur = options.blur_px
     return tuple(
-        filtered_camera(camera, options.filter, is_first=i == 0) for i, camera in enumerate(phases)
+        filtered_camera(
+            camera if blur is None else centred_camera(camera, blur_px=blur, is_first=i == 0),
+            options.filter,
+            is_first=i == 0,
+        )
+        for i, camera in enumerate(phases)
     )
 
 

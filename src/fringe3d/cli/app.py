@@ -74,6 +74,7 @@ def measure(
     filter_: Annotated[
         Literal["none", "light", "medium", "strong"], Parameter(name="--filter")
     ] = "none",
+    best_estimate: Annotated[bool, Parameter(negative=())] = False,
     response: Path | None = None,
     noise: Path | None = None,
     previous: Path | None = None,
@@ -126,6 +127,9 @@ def measure(
     filter_
         Less noise: about a third, a quarter or a sixth of it is left. Edges stay sharp and balls
         keep their size; detail as fine as 3, 5 or 8 pixels is smoothed, and sigma does not tell.
+    best_estimate
+        Two cameras and a calibrated projector: let its phases place the points, too, as far as
+        they agree with the cameras.
     response
         Take the gamma of projector and camera out of the phase: "self" for what these images show
         of it, or a response.toml of fringe3d calibrate response.
@@ -169,6 +173,7 @@ def measure(
         min_modulation_dn=min_modulation,
         min_order_probability=min_probability,
         filter=filter_,
+        best_estimate=best_estimate,
         own_response=is_own,
     )
     response = None if is_own else response

@@ -7,6 +7,7 @@ from fringe3d.correspond.curves import keep_curves, ray_curves
 from fringe3d.correspond.direct import Located, locate
 from fringe3d.correspond.following import orders_of_before
 from fringe3d.correspond.near import match_near_sheets
+from fringe3d.correspond.noise import variance_between, with_true_sigma
 from fringe3d.correspond.placement import place_lost
 from fringe3d.correspond.projector import (
     GUARD_PX,
@@ -56,4 +57,6 @@ __all__ = [
     "rivals",
     "tells_enough",
     "twin_share",
+    "variance_between",
+    "with_true_sigma",
 ]

@@ -9,7 +9,8 @@ from numba import njit, prange
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from fringe3d.correspond._phase import INTERPOLATION_WEIGHT, MAX_JUMP
+from fringe3d.correspond._phase import MAX_JUMP
+from fringe3d.correspond.noise import variance_between
 from fringe3d.correspond.projector import epipolar_line_at
 from fringe3d.geometry import pixel_grid, rays
 from fringe3d.model import NO_ORDER, Correspondences, Device, PhaseMap, Rejection
@@ -129,14 +130,13 @@ def _compose(
     origin, directions = rays(camera1, grid[good])
     base, tangent = epipolar_line_at(camera2, origin, directions, pixels)
     away = pixels - base
-    row, col = np.rint(y).astype(int), np.rint(x).astype(int)
     # Noise of u and v moves the point by the inverse of their gradients; along the curve counts.
     along_u = (vy * tangent[:, 0] - vx * tangent[:, 1]) / (ux * vy - uy * vx)
     along_v = (ux * tangent[:, 1] - uy * tangent[:, 0]) / (ux * vy - uy * vx)
     variance = np.zeros(len(x))
     for one, two, weight in zip(phases1, phases2, (along_u, along_v), strict=True):
         to_px = one.period_px / (2 * np.pi)
-        noise = one.phase_std[good] ** 2 + INTERPOLATION_WEIGHT * two.phase_std[row, col] ** 2
+        noise = one.point_std[good] ** 2 + variance_between(two, pixels)
         variance += (weight * to_px) ** 2 * noise
     maps = {
         "pixels": np.full((*valid.shape, 2), np.nan),

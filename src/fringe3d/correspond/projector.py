@@ -192,7 +192,7 @@ def _on_curve(phases: PhaseMap, camera: Device, projector: Device) -> Correspond
     slope = (_across(moved, phases.angle) - _across(pixels, phases.angle)) / np.linalg.norm(
         travel, axis=1
     )
-    sigma_w = phases.phase_std[valid] * phases.period_px / TWO_PI
+    sigma_w = phases.point_std[valid] * phases.period_px / TWO_PI
     rejection = phases.rejection.copy()
     behind = valid.copy()
     behind[valid] = ~met
@@ -226,7 +226,7 @@ def _from_two_directions(
     pixels_c1, n_shared = _middle_of_cells(a, b, valid)
     w = np.stack([m.position_px[valid] for m in (a, b)], axis=-1)
     pixels = w @ np.linalg.inv(axes).T - 0.5
-    sigma_w = np.stack([m.phase_std[valid] * m.period_px / TWO_PI for m in (a, b)], axis=-1)
+    sigma_w = np.stack([m.point_std[valid] * m.period_px / TWO_PI for m in (a, b)], axis=-1)
     sigma_w /= np.sqrt(n_shared)[:, None]
 
     origin, directions = rays(camera, pixels_c1[valid])

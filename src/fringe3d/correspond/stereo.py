@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fringe3d.correspond import _search
-from fringe3d.correspond._phase import INTERPOLATION_WEIGHT
+from fringe3d.correspond.noise import variance_between
 from fringe3d.errors import MethodError
 from fringe3d.geometry import depth_interval, frustum, grid_rays, pixel_centres, project, rays
 from fringe3d.geometry.projection import lens_of
@@ -71,7 +71,7 @@ def match_cameras(
 
     Notes
     -----
-    ``sigma_px = sqrt(sigma_1**2 + sigma_2**2 4/9) / |d phi_2 / ds|``.
+    ``sigma_px = sqrt(sigma_1**2 + sum(w**2 sigma_2**2)) / |d phi_2 / ds|``.
     """
     _require_same_fringes(phases1, phases2)
     valid = phases1.rejection == 0
@@ -199,8 +199,8 @@ def _correspondences(
     pixels[valid], slope[valid] = found[:, :2], found[:, 2]
     pixels[~good] = np.nan
     sigma = np.full(valid.shape, np.nan, np.float32)
-    variance2 = _largest_std(phases2, pixels[good]) ** 2
-    variance = phases1.phase_std[good].astype(np.float64) ** 2 + INTERPOLATION_WEIGHT * variance2
+    variance = phases1.point_std[good].astype(np.float64) ** 2
+    variance += variance_between(phases2, pixels[good])
     with np.errstate(divide="ignore"):
         sigma[good] = np.sqrt(variance) / np.abs(slope[good])
     return Correspondences(
@@ -212,13 +212,3 @@ def _correspondences(
         fringe_order=np.where(good, phases1.order_class, NO_ORDER),
         rejection=rejection,
     )
-
-
-def _largest_std(phases: PhaseMap, places: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the largest standard deviation, rad, of the neighbours of places that have a phase."""
-    col, row = np.floor(places).astype(int).T
-    rows, cols = (np.clip([at, at + 1], 0, n - 1)
-                  for at, n in zip((row, col), phases.rejection.shape, strict=True))  # fmt: skip
-    around = rows[:, None], cols[None]
-    known = np.where(phases.rejection[around] == 0, phases.phase_std[around], np.float32(0))
-    return np.asarray(known.max(axis=(0, 1)), np.float64)

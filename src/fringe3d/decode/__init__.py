@@ -4,6 +4,7 @@ from fringe3d.decode.apart import decode_apart
 from fringe3d.decode.camera import CameraPhases, DirectionPhases, decode
 from fringe3d.decode.exposures import fuse, without_saturated
 from fringe3d.decode.filtering import filtered_camera
+from fringe3d.decode.footprint import centred, centred_camera
 from fringe3d.decode.motion import drift_of, stilled
 from fringe3d.decode.order import has_mirrored_neighbours
 from fringe3d.decode.phase import wrapped_phase
@@ -15,6 +16,8 @@ __all__ = [
     "CameraPhases",
     "DirectionPhases",
     "SensorNoise",
+    "centred",
+    "centred_camera",
     "decode",
     "decode_apart",
     "drift_of",

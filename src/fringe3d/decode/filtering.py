@@ -92,9 +92,15 @@ def filtered(phases: PhaseMap, radius_px: int, /, *, is_first: bool = True) -> P
         return phases
     phase, sigma = smoothed_phase(phases.phase, phases.phase_std, radius_px)
     if not is_first:
-        raised = sigma * np.float32(np.sqrt(interpolated_part(radius_px) / INTERPOLATED))
+        part = interpolated_part(radius_px)
+        raised = sigma * np.float32(np.sqrt(part / INTERPOLATED))
         sigma = np.where(sigma < phases.phase_std, np.minimum(raised, phases.phase_std), sigma)
-    return replace(phases, phase=phase, phase_std=sigma)
+        phases = replace(phases, alike=(part - INTERPOLATED) / (1 - INTERPOLATED))
+    detailed = None
+    if phases.detailed_std is not None:  # what is no noise stays
+        more = np.maximum(phases.detailed_std**2 - phases.phase_std**2, 0)
+        detailed = np.sqrt(sigma**2 + more)
+    return replace(phases, phase=phase, phase_std=sigma, detailed_std=detailed)
 
 
 def smoothed_phase(

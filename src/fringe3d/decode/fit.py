@@ -25,6 +25,76 @@ from fringe3d.model.plan import FringeSet
 MAX_PHASE_STD = 0.25
 """rad; at a standard deviation of one 25th of a period no point is worth having."""
 
+WAVE_PLACES, LEAST_WAVE = 16, 1e-5
+"""Phases at which the noise is looked at: enough for three waves; and what is none."""
+
+
+@dataclass(frozen=True, slots=True)
+class NoiseWaves:
+    """How the noise of a phase depends on the phase.
+
+    With three steps, bright ones have more shot noise than dark ones, and which of them counts
+    most depends on the phase; with unequal steps so does the weight of all noise.
+
+    Parameters
+    ----------
+    read : tuple of complex; of the noise that all steps have, waves 0 and 2
+    shot : tuple of complex; of the noise that goes with ``B cos(phase - shift)``, waves 1 and 3
+    """
+
+    read: tuple[complex, complex]
+    shot: tuple[complex, complex]
+
+    @property
+    def is_even(self) -> bool:
+        """Tell whether the noise is the same at all phases."""
+        return max(abs(self.read[1]), *map(abs, self.shot)) < LEAST_WAVE * abs(self.read[0])
+
+    def noise(
+        self, variance: NDArray[np.float32], shot: NDArray[np.float32], phase: NDArray[np.float32]
+    ) -> NDArray[np.float32]:
+        """Return sigma_phase * B, DN.
+
+        Parameters
+        ----------
+        variance : DN**2; of a grey value of the mean brightness
+        shot : DN**2; what B adds to it in the brightest step
+        phase : rad
+        """
+        turn = np.exp(1j * phase.astype(np.complex64))
+        all_steps = self.read[0].real + (np.complex64(self.read[1]) * turn**2).real
+        bright = (np.complex64(self.shot[0]) * turn + np.complex64(self.shot[1]) * turn**3).real
+        return np.asarray(np.sqrt(np.maximum(variance * all_steps + shot * bright, 0)), np.float32)
+
+
+def noise_waves(shifts_rad: tuple[float, ...], /) -> NoiseWaves:
+    """Return how the noise of the phase of these steps depends on the phase.
+
+    Notes
+    -----
+    ``d phase / d I_n = (S_n cos phase - C_n sin phase) / B``, C and S the weights of the fit; the
+    variance of I_n is ``read + gain A + gain B cos(phase - shift_n)``.
+
+    Examples
+    --------
+    >>> waves = noise_waves((0.0, 2 * np.pi / 3, 4 * np.pi / 3))
+    >>> waves.is_even, round(waves.shot[1].real, 3)  # - 1/3 cos(3 phase)
+    (False, -0.333)
+    >>> noise_waves((0.0, np.pi / 2, np.pi, 3 * np.pi / 2)).is_even
+    True
+    """
+    solver, _ = _least_squares(shifts_rad)
+    phase = 2 * np.pi * np.arange(WAVE_PLACES) / WAVE_PLACES
+    shifts = np.asarray(shifts_rad)
+    weight = np.cos(phase)[:, None] * solver[2] - np.sin(phase)[:, None] * solver[1]
+    read = (weight**2).sum(axis=1)
+    shot = (weight**2 * np.cos(phase[:, None] - shifts)).sum(axis=1)
+    read_waves, shot_waves = (np.fft.fft(values) / WAVE_PLACES for values in (read, shot))
+    return NoiseWaves(
+        read=(complex(read_waves[0]), complex(2 * read_waves[2])),
+        shot=(complex(2 * shot_waves[1]), complex(2 * shot_waves[3])),
+    )
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FringeFit:
@@ -39,6 +109,7 @@ class FringeFit:
     lowest_dn : float, DN; smallest modulation
     ripple : Ripple or None; what a nonlinear response does to the phase
     scale, growth : (row, col) float32 or None; see `Fused` and `ImageStack.sigma_growth`
+    waves : NoiseWaves or None; how the noise depends on the phase; None where it does not
     """
 
     solver: NDArray[np.float32]
@@ -49,6 +120,7 @@ class FringeFit:
     ripple: Ripple | None = None
     scale: NDArray[np.float32] | None = None
     growth: NDArray[np.float32] | None = None
+    waves: NoiseWaves | None = None
 
     def variance(
         self, offset: NDArray[np.float32], at: Sample | None = None
@@ -72,8 +144,15 @@ class FringeFit:
         modulation: NDArray[np.float32],
         phase: NDArray[np.float32],
     ) -> NDArray[np.float32]:
-        """Return the standard deviation of the phase, rad; `phase` is without its ripple."""
+        """Return the standard deviation of the phase, rad; `phase` is without its ripple.
+
+        Where it is NaN: that of a phase on average.
+        """
         noise = np.float32(self.phase_weight) * np.sqrt(self.variance(offset))
+        if self.waves is not None:
+            shot = self.gain if self.scale is None else self.gain * self.scale
+            waving = self.waves.noise(self.variance(offset), shot * modulation, phase)
+            noise = np.where(np.isnan(phase), noise, waving)
         with np.errstate(divide="ignore", invalid="ignore"):
             sigma = np.asarray(noise / modulation, np.float32)
         if self.growth is not None:
@@ -107,7 +186,11 @@ def fringe_fit(
         lowest = MIN_MODULATION_OF_RANGE * stack.range_dn
     ripple = ripple_of(stack.response, fringe_set)
     scale = None if stack.fused is None else stack.fused.scale
-    return FringeFit(solver, weight, read_variance, gain, lowest, ripple, scale, stack.sigma_growth)
+    waves = noise_waves(fringe_set.shifts)
+    return FringeFit(
+        solver, weight, read_variance, gain, lowest, ripple, scale, stack.sigma_growth,
+        None if waves.is_even else waves,
+    )  # fmt: skip
 
 
 @lru_cache(maxsize=32)

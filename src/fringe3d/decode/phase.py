@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -77,20 +79,21 @@ def wrapped_phase(
     offset, cosine, sine = _solve(stack, fringe_set, fit)
     modulation = np.hypot(cosine, sine)
     phase = corrected(fit.ripple, np.arctan2(sine, cosine))
-    phase_std = fit.phase_std(offset, modulation, phase)
     rejection = np.zeros(stack.shape, np.uint16)
     saturated = stack.images[list(fringe_set.indices)].max(axis=0) >= stack.saturation_dn
     reject(rejection, saturated, Rejection.SATURATED)
-    usable = (modulation >= np.float32(fit.lowest_dn)) & (phase_std < MAX_PHASE_STD)
+    mean_std = replace(fit, waves=None).phase_std(offset, modulation, phase)
+    usable = (modulation >= np.float32(fit.lowest_dn)) & (mean_std < MAX_PHASE_STD)
     reject(rejection, ~usable, Rejection.LOW_MODULATION)
+    phase = np.where(rejection == 0, phase, np.float32(np.nan))
     return wrapped_map(
         stack,
         fringe_set,
         fit,
-        phase=np.where(rejection == 0, phase, np.float32(np.nan)),
+        phase=phase,
         offset=offset,
         modulation=modulation,
-        phase_std=phase_std,
+        phase_std=fit.phase_std(offset, modulation, phase),
         rejection=rejection,
         decided=rejection,
     )

@@ -130,6 +130,11 @@ class PhaseMap(_Maps):
     device_name : str
     n_mended : int; pixels whose code the phase or the neighbours corrected by one cell
     is_quantised : bool; known to whole code cells only (Gray code without fringes)
+    detailed_std : (row, col) float32, rad, or None; `phase_std` and what is uncertain of the phase
+        besides noise: detail that a pixel averages. For the points alone: orders are weighed by
+        noise
+    alike : float, 0 to 1; correlation of the errors of neighbouring pixels, where interpolation
+        between them was foreseen when `phase_std` was computed (filtered phases)
     """
 
     phase: NDArray[np.float32]
@@ -145,6 +150,8 @@ class PhaseMap(_Maps):
     first_order: int = 0
     n_mended: int = 0
     is_quantised: bool = False
+    detailed_std: NDArray[np.float32] | None = None
+    alike: float = 0.0
 
     def __post_init__(self) -> None:
         f4 = np.float32
@@ -157,6 +164,8 @@ class PhaseMap(_Maps):
             rejection=np.uint16,
         )
         object.__setattr__(self, "class_of_order", frozen(self.class_of_order, np.int32))
+        if self.detailed_std is not None:
+            object.__setattr__(self, "detailed_std", frozen(self.detailed_std, np.float32))
 
     def rejecting(self, rejection: NDArray[np.uint16]) -> PhaseMap:
         """Return the map with these `Rejection` bits added, (row, col)."""
@@ -179,7 +188,13 @@ class PhaseMap(_Maps):
             offset=self.offset[part],
             modulation=self.modulation[part],
             rejection=self.rejection[part],
+            detailed_std=None if self.detailed_std is None else self.detailed_std[part],
         )
+
+    @property
+    def point_std(self) -> NDArray[np.float32]:
+        """Return (row, col) rad; the standard deviation of the phase for the points."""
+        return self.phase_std if self.detailed_std is None else self.detailed_std
 
     def without_orders(self) -> PhaseMap:
         """Return the map with all orders in one class: the wrapped phase alone."""
