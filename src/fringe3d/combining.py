@@ -126,6 +126,10 @@ def combined(
         if np.isfinite(found.own_std):
             fits = np.abs(found.residual) < MOST_APART * np.sqrt(explained + found.own_std**2)
             shared = noise1 / slope2 if number == 0 else np.zeros(len(here))
+            # Never better than C1 sees it: pattern and response are not in the noise.
+            least = float(np.median(own))
+            found = replace(found, own_std=float(np.sqrt(max(found.own_std**2, least))))
+            stds[-1] = found.own_std
             moved, less = _weighed(shift, variance, found, own, shared)
             shift, variance = np.where(fits, moved, shift), np.where(fits, less, variance)
     return _moved(points, index, rays, shift, np.sqrt(variance)), tuple(stds)
