@@ -12,6 +12,9 @@ import numpy as np
 from fringe3d.model import FATES, MergedCloud, Registration, SurfaceMesh, SurfaceView
 from fringe3d.register import odd_views
 
+OPEN_CLOSURE = 5.0
+"""Closure over the residuals of the overlaps, from which on the way round does not close."""
+
 NOTE = (
     "A view's sigma is that of its place at the middle of the body, relative to the first view; "
     "the axis is given in the world frame of the rig, at the height of the body's middle."
@@ -109,13 +112,22 @@ def merge_text(record: dict[str, Any], /) -> str:
 
 
 def odd_texts(record: dict[str, Any], /) -> list[str]:
-    """Return a warning for each view that does not fit the others."""
-    return [
+    """Return a warning for each view that does not fit the others, and for a way round that does
+    not close.
+    """
+    found = [
         f"{odd['name']}: this view does not fit the others: {odd['why']}. Its calibration, or the "
         "body, may have moved: look at its own checks, measure it with --self-calibrate, or leave "
         "it out"
         for odd in record["odd_views"]
     ]
+    if record["closure_um"] > OPEN_CLOSURE * max(record["residual_um"], 1e-9):
+        found.append(
+            f"once around, {record['closure_um']:.0f} um are left where overlaps differ by "
+            f"{record['residual_um']:.0f} um: views may be joined at a wrong place. Look at the "
+            "pictures; give the table's angles, if only roughly"
+        )
+    return found
 
 
 def mesh_record(mesh: SurfaceMesh, kind: str, /) -> dict[str, Any]:
