@@ -46,6 +46,7 @@ def open3d() -> Any:
     MethodError
         If it is missing.
     """
+    n_threads()  # Numba chooses its threads before Open3D loads an older library of threads
     try:
         return importlib.import_module("open3d")
     except ImportError as problem:
