@@ -63,7 +63,9 @@ def test_sigma_of_two_directions_is_the_spread_of_the_points(
     )  # fmt: skip
     noise = NoiseModel(read_noise_dn=1.0)
     scan, truths = simulate(rig, plan, SphereScene(noise=noise), np.random.default_rng(3))
-    result = measure(Scan(stacks=scan.stacks, rig=rig), MeasureOptions(method="projector"))
+    result = measure(
+        Scan(stacks=scan.stacks, rig=rig), MeasureOptions(method="projector", blur_px=None)
+    )
     assert result.points is not None
     inner = result.points.is_valid & ~truths[0].on_sphere
     truth = truths[0].points_mm[inner]
