@@ -174,7 +174,7 @@ def _of_geometry(
         outside = _outside(free, rig)
         if outside is not None:
             return [outside]
-        if all(fault.figure == GEOMETRIC[LOST] for fault in accused):
+        if accused and all(fault.figure == GEOMETRIC[LOST] for fault in accused):
             return []  # the calibration fits; what is lost lies outside
     exchanged = _exchanged(scan, options, result)
     if exchanged is not None:
