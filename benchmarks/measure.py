@@ -5,7 +5,8 @@ python benchmarks/measure.py [--sizes 640x512,1280x1024] [--methods "M1;M2"]    
 From images in memory to organised points with their standard deviations, two cameras. The floor is
 reading the same images once with one thread, in the same run. The scene is simulated (an object on
 a lit table, rig `kolibri`, for M5 `kolibri-m5`) with a calibration that is wrong by 0.2 px; for
-"M6, stored bias" the bias is what M6 learnt from the same images. "found" and "wrong" are parts of
+"M6, stored bias" the bias is what M6 learnt from the same images; "followed": the fringe orders go
+on from the frame before, which shows the same. "found" and "wrong" are parts of
 the object's pixels that are lit and seen by both cameras. With --busy the processor's time counts:
 other programs then disturb less; that of two threads is the sum of both. "memory" is what one
 measurement takes at most beside its images and beside "kept": tables of the rig that later
@@ -28,6 +29,7 @@ from fringe3d.correspond import curves
 from fringe3d.model import Rig, Scan
 from fringe3d.options import MeasureOptions, keep_images
 from fringe3d.pipeline import Measurement, measure
+from fringe3d.session import Session
 from fringe3d.simulate.perturb import perturbed
 
 PRESET, M5_PRESET = "kolibri", "kolibri-m5"
@@ -40,6 +42,9 @@ METHODS = {
     "M5": replace(NO_CODE, method="m5"),
     "M6, stored bias": replace(NO_CODE, method="m6"),
     "M6": replace(NO_CODE, method="m6"),
+    "M2, followed": MeasureOptions(method="m2", gray_bits=3, light_dark=False),
+    "M5, followed": replace(NO_CODE, method="m5"),
+    "M6, followed": replace(NO_CODE, method="m6"),
 }
 
 
@@ -50,10 +55,14 @@ class Task:
     recording: Recording
     scan: Scan
     options: MeasureOptions
+    before: Measurement | None = None
 
     def run(self) -> Measurement:
-        """Measure once."""
-        return measure(self.scan, self.options)
+        """Measure once, or follow the frame before."""
+        if self.before is None:
+            return measure(self.scan, self.options)
+        session = Session(self.scan.rig, self.scan.stacks[0].plan, self.options, keep=False)
+        return session.follow(self.scan.stacks, self.before)
 
     def truth(self, found: Measurement) -> tuple[float, float]:
         """Return which parts of the reference have a right and a wrong point."""
@@ -75,7 +84,8 @@ def task_of(method: str, recording: Recording) -> Task:
     if method == "M6, stored bias":
         learnt = measure(scan, options).bias
         scan = replace(scan, rig=replace(rig, bias=learnt))
-    return Task(recording, scan, options)
+    before = measure(scan, options) if method.endswith("followed") else None
+    return Task(recording, scan, options, before)
 
 
 HEADER = (
@@ -92,7 +102,7 @@ def lines(
     clock: Callable[[], float] = time.process_time if busy else time.perf_counter
     recordings: dict[str, Recording] = {}
     for method in methods:
-        preset = M5_PRESET if method == "M5" else PRESET
+        preset = M5_PRESET if method.startswith("M5") else PRESET
         if preset not in recordings:
             recordings[preset] = recorded(Scene(preset, thing, size=size))
         curves._STORE.kept.clear()

@@ -53,6 +53,7 @@ ALLOWED: dict[str, set[str]] = {
         "segments",
         "triangulate",
     },
+    "measurement": NOUNS | {"decode", "health"},
     # Points of cameras and projector: it weighs the noise of phases and places.
     "combining": NOUNS | {"correspond", "geometry", "patterns"},
     "pipeline": NOUNS
@@ -61,8 +62,9 @@ ALLOWED: dict[str, set[str]] = {
         "decode",
         "correspond",
         "health",
-        "matching",
         "kernels",
+        "matching",
+        "measurement",
         "methods",
         "options",
         "devices_moved",

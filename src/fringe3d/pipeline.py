@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,20 +40,18 @@ from fringe3d.health import (
 )
 from fringe3d.kernels import alongside
 from fringe3d.matching import Matched, best_direction_first, followed, match
+from fringe3d.measurement import Measurement, point_cloud
 from fringe3d.methods import choose_method, images_of, settle
 from fringe3d.model import (
-    CalibrationBias,
     Correspondences,
     Device,
     ImageStack,
     MeasuringVolume,
     PhaseMap,
-    PointCloud,
     PointMap,
     Rig,
     Scan,
 )
-from fringe3d.model.html import picture, table
 from fringe3d.model.rejection import count_by_reason
 from fringe3d.options import MeasureOptions, keep_images, volume_of
 from fringe3d.segments import angles_without_code
@@ -78,55 +76,6 @@ SPARSE_REACH_PX = 3
 EPIPOLAR_SIGMA = 6.0
 EPIPOLAR_FLOOR_PX = 0.5
 MAD_TO_SIGMA = 1.4826
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Measurement:
-    """The answer and the evidence.
-
-    Parameters
-    ----------
-    method : str; the method used, or "phase" where there is no rig
-    why : str; why this method was taken
-    n_images : int; of each camera, that the method used
-    phases : tuple of CameraPhases
-    matches : Correspondences or None
-    points : PointMap or None
-    bias : CalibrationBias or None; stored or learnt, with which fringe orders were chosen
-    findings : tuple of Finding; what the checks found
-    seconds : dict; time of each stage
-    """
-
-    method: str
-    why: str
-    n_images: int
-    phases: tuple[CameraPhases, ...]
-    matches: Correspondences | None = None
-    points: PointMap | None = None
-    bias: CalibrationBias | None = None
-    findings: tuple[Finding, ...] = ()
-    seconds: dict[str, float] = field(default_factory=dict)
-
-    @property
-    def main(self) -> PhaseMap:
-        """Return the phase map of C1 that the points rest on."""
-        return self.phases[0].directions[0].main
-
-    @property
-    def warnings(self) -> tuple[Finding, ...]:
-        """Return the findings that are not ok."""
-        return tuple(f for f in self.findings if f.level != "ok")
-
-    @property
-    def rejection(self) -> NDArray[np.uint16]:
-        """Return the rejection map of C1."""
-        return self.main.rejection if self.points is None else self.points.rejection
-
-    def _repr_html_(self) -> str:
-        rows = [("method", f"{self.method} with {self.n_images} images: {self.why}")]
-        rows += [(finding.level, finding.text) for finding in self.warnings]
-        shown = self.points._repr_html_() if self.points else picture(self.main.phase)
-        return table("measurement", rows, more=shown)
 
 
 def measure(
@@ -416,20 +365,6 @@ def _refuse(findings: Sequence[Finding], error: type[Fringe3DError]) -> Sequence
     if errors:
         raise error(". ".join(errors))
     return findings
-
-
-def point_cloud(result: Measurement, /) -> PointCloud:
-    """Return the points of a measurement as a plain cloud, coloured by the surface's brightness."""
-    assert result.points is not None
-    good = result.points.is_valid
-    offset = np.nan_to_num(result.main.offset[good])
-    top = max(float(np.percentile(offset, 99)), 1.0) if len(offset) else 1.0
-    return PointCloud(
-        points_mm=result.points.points_mm[good],
-        sigma_mm=result.points.sigma_mm[good],
-        grey=np.clip(255 * offset / top, 0, 255).astype(np.uint8),
-        source_index=np.argwhere(good).astype(np.int32),
-    )
 
 
 class _Clock:
