@@ -37,7 +37,7 @@ def commands(of: App, path: tuple[str, ...] = ()) -> Iterator[tuple[str, Any]]:
 
 
 @pytest.mark.parametrize(
-    ("name", "function"), list(commands(app)), ids=lambda value: str(value)[:40]
+    ("name", "function"), [pytest.param(*pair, id=pair[0]) for pair in commands(app)]
 )
 def test_every_command_has_the_option(name: str, function: Any) -> None:
     assert "as_json" in inspect.signature(function).parameters, name
