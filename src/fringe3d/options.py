@@ -55,6 +55,8 @@ class MeasureOptions:
         phases are corrected, see `fringe3d.decode.footprint`; None leaves them as they are
     best_estimate : bool; where two cameras see the points and the projector is calibrated, its
         phases place them, too, see `fringe3d.combining`
+    outliers : "none", "light", "medium" or "strong"; reject points off the surface of their
+        neighbours by more than their sigma explains, see `fringe3d.triangulate.remove_outliers`
     own_response : bool; take out of the phases what a nonlinear response (gamma) does to them, as
         these images show it; else that of the stacks
     follow : bool; the fringe orders are those of the frame before, gone on from: fast, and only
@@ -74,6 +76,7 @@ class MeasureOptions:
     filter: Filter = "none"
     blur_px: float | None = 0.4
     best_estimate: bool = False
+    outliers: Filter = "none"
     own_response: bool = False
     follow: bool = False
 

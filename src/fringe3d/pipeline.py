@@ -58,6 +58,7 @@ from fringe3d.segments import angles_without_code
 from fringe3d.triangulate import (
     remove_edges,
     remove_isolated,
+    remove_outliers,
     remove_repeated,
     triangulate,
     typical_gap_mm,
@@ -67,6 +68,9 @@ __all__ = ["MeasureOptions", "Measurement", "measure", "point_cloud"]
 
 GAP_FACTOR = 10.0
 """Neighbouring pixels belong to one surface up to ten typical distances: slopes up to 84 deg."""
+
+OUTLIER_SIGMA = {"light": 6.0, "medium": 4.5, "strong": 3.5}
+"""Standard deviations in `remove_outliers`: a point of 8.4, 6.3 or 4.9 sigma of its own."""
 
 MIN_PATCH_PIXELS = 30
 
@@ -162,7 +166,7 @@ def measure(
         findings = [*of_images(), *findings, *check_epipolar(matches), *check_yield(points)]
         findings += of_texture()
         findings += _check_devices(findings, phases, matches, points, (camera, other), rig)
-        points = _clean(points, options, main)
+        points = _clean(points, options, main, camera)
         if main.is_quantised:
             points = remove_repeated(points, matches)
     result = replace(result, matches=matches, points=points, bias=matched.bias,
@@ -334,10 +338,13 @@ def _epipolar_limit(matches: Correspondences) -> float | None:
     return max(EPIPOLAR_FLOOR_PX, EPIPOLAR_SIGMA * MAD_TO_SIGMA * float(np.median(residual)))
 
 
-def _clean(points: PointMap, options: MeasureOptions, main: PhaseMap) -> PointMap:
+def _clean(points: PointMap, options: MeasureOptions, main: PhaseMap, camera: Device) -> PointMap:
     gap = GAP_FACTOR * typical_gap_mm(points)
     if not np.isfinite(gap):
         return points
+    if options.outliers != "none":
+        points = remove_outliers(points, camera.center_world, max_gap_mm=gap,
+                                 most_sigma=OUTLIER_SIGMA[options.outliers])  # fmt: skip
     if options.drop_edges:
         points = remove_edges(points, max_gap_mm=gap)
     reach = SPARSE_REACH_PX if main.is_quantised else 1

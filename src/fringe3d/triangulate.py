@@ -13,6 +13,7 @@ from scipy import ndimage
 from fringe3d.geometry import closest_depths, pixel_grid, project, rays
 from fringe3d.geometry.components import patch_sizes
 from fringe3d.geometry.meeting import Met, meet
+from fringe3d.geometry.spikes import stands_out
 from fringe3d.model import Correspondences, Device, MeasuringVolume, PointMap, Rejection
 from fringe3d.model.rejection import reject
 
@@ -145,6 +146,41 @@ def remove_isolated(
     """
     sizes = patch_sizes(points.points_mm, max_gap_mm, reach_px)
     return _without(points, sizes < min_pixels, Rejection.ISOLATED)
+
+
+def remove_outliers(
+    points: PointMap, origin_mm: NDArray[np.float64], /, *, max_gap_mm: float, most_sigma: float
+) -> PointMap:
+    """Reject points that stand out of the surface of their neighbours as OUTLIER.
+
+    Along each line through a pixel (rows, columns and diagonals, neighbours one or two pixels
+    apart) the fourth difference of the depths is compared with its standard deviation. It is zero
+    on any surface that is a cubic there, so bends stay; a thin wire stays for its own direction. A
+    line on which the neighbours themselves are less even than the point is off them, as at edges
+    and creases, tells nothing. What stands out along all others, three at least, and to the same
+    side, is noise, a reflection, or a mixed pixel.
+
+    Parameters
+    ----------
+    points : PointMap
+    origin_mm : (3,) float, mm; centre of C1, from which depths are counted
+    max_gap_mm : float, mm, > 0; neighbours of one surface are no further apart
+    most_sigma : float; standard deviations of the fourth difference, of which a single point off by
+        a makes up 6 a: 6 of them are 8.4 of the point's own sigma
+
+    Examples
+    --------
+    >>> x, y = np.meshgrid(np.arange(9.0), np.arange(9.0))
+    >>> place = np.stack([x, y, 100 + 0 * x], axis=-1)
+    >>> place[4, 4, 2] += 0.5
+    >>> points = PointMap(points_mm=place, sigma_mm=0.01 + 0 * x, skew_mm=0 * x, rejection=0 * x)
+    >>> left = remove_outliers(points, np.zeros(3), max_gap_mm=3.0, most_sigma=6.0)
+    >>> np.argwhere(left.rejection != 0).tolist()
+    [[4, 4]]
+    """
+    depth = np.linalg.norm(points.points_mm - origin_mm, axis=-1)
+    out = stands_out(depth, points.sigma_mm, most_sigma=most_sigma, max_gap_mm=max_gap_mm)
+    return _without(points, out, Rejection.OUTLIER)
 
 
 def remove_edges(points: PointMap, /, *, max_gap_mm: float) -> PointMap:

@@ -71,6 +71,7 @@ def measure(
     drop_edges: Annotated[bool, Parameter(negative=())] = False,
     min_modulation: Annotated[float | None, Parameter(validator=at_least(0))] = None,
     min_probability: Annotated[float | None, Parameter(validator=at_least(0, 1))] = None,
+    outliers: Literal["none", "light", "medium", "strong"] = "none",
     filter_: Annotated[
         Literal["none", "light", "medium", "strong"], Parameter(name="--filter")
     ] = "none",
@@ -124,6 +125,9 @@ def measure(
     min_probability
         Reject fringe orders that are less probable, 0 to 1: 0.9 by default, 0.99 if strict; 0 takes
         the best that fits.
+    outliers
+        Leave out points off the surface of their neighbours by more than their sigma explains:
+        spikes, reflections, mixed pixels. light: by more than about 8, medium: 6, strong: 5 sigma.
     filter_
         Less noise: about a third, a quarter or a sixth of it is left. Edges stay sharp and balls
         keep their size; detail as fine as 3, 5 or 8 pixels is smoothed, and sigma does not tell.
@@ -170,6 +174,7 @@ def measure(
         depth_mm=parse_depth(depth) if depth else None,
         strict=strict,
         drop_edges=drop_edges,
+        outliers=outliers,
         min_modulation_dn=min_modulation,
         min_order_probability=min_probability,
         filter=filter_,

@@ -29,6 +29,7 @@ class Rejection(IntFlag):
     EDGE = 1 << 12
     SAME_POINT = 1 << 13
     HIDDEN = 1 << 14
+    OUTLIER = 1 << 15
 
     @property
     def meaning(self) -> str:
@@ -53,6 +54,7 @@ _MEANINGS = {
     "(--drop-edges, --strict)",
     Rejection.SAME_POINT: "shares its projector pixel with neighbours: one point stands for all",
     Rejection.HIDDEN: "the surface itself hides the point from the second camera or the light",
+    Rejection.OUTLIER: "off the surface of its neighbours by more than sigma explains (--outliers)",
 }
 
 

@@ -39,6 +39,8 @@ ADVICE = {
     Rejection.SAME_POINT: "Project fringes besides the code: they resolve the projector's pixels.",
     Rejection.HIDDEN: "Turn the object and measure again: it hides these places from the second "
     "camera or the light.",
+    Rejection.OUTLIER: "Single points that stand out are rightly left out. Many of them on a "
+    "surface that shines, or in a corner, tell of reflections: matt the surface, or turn it.",
 }
 
 
