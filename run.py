@@ -18,6 +18,8 @@ ROOT = Path(__file__).resolve().parent
 ENVIRONMENT = ROOT / ".venv"
 SCRIPTS = ENVIRONMENT / ("Scripts" if sys.platform == "win32" else "bin")
 DOCS = ("-m", "sphinx", "-q", "-W", "--keep-going", "-b", "html", "docs", "docs/_build")
+COMPILING = ("examples/05_fewer_images.py",)
+"""Its machine code is kept: the processes that pass the tests need not all make it."""
 PYTHON = SCRIPTS / ("python.exe" if sys.platform == "win32" else "python")
 
 
@@ -37,10 +39,12 @@ def main(arguments: list[str]) -> int:
                 ("-m", "ruff", "format", "--check", "."),
                 ("-m", "mypy"),
                 DOCS,
+                COMPILING,
             )
             if code := call_together(*checks):
                 return code
-            return call("-m", "pytest", "--numprocesses=auto", "--dist=loadfile", *options)
+            return call("-m", "pytest", "--numprocesses=auto", "--dist=loadfile",
+                        "--durations=40", *options)  # fmt: skip
         case ["docs"]:
             set_up(extras="[dev]")
             return call(*DOCS)

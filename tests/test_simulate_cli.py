@@ -294,7 +294,11 @@ def test_the_record_of_a_scan_can_be_given_as_settings(scan: Path, tmp_path: Pat
     """Its tables are used; what it says about the command line is not."""
     file = tmp_path / "again.toml"
     text = (scan / "simulation.toml").read_text()
-    assert set(tomllib.loads(text)) == {*HEAD, *KINDS} - {"knock"}  # none given
+    assert set(tomllib.loads(text)) == {*HEAD, *KINDS} - {
+        "knock",
+        "axis_off",
+        "angle_error_deg",
+    }  # none given
     file.write_text(text.replace("exposure = 0.8", "exposure = 0.4"))
     again = simulate(tmp_path / "again", *TINY, "--seed", "9", "--settings", str(file))
     written = tomllib.loads((again / "simulation.toml").read_text())

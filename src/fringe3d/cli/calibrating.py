@@ -226,7 +226,8 @@ def _measured(
     # What both cameras see beside the volume is as good for this.
     cameras_only = replace(scan.rig, projector=None, volume=None, covariance=None)
     bare = replace(scan, stacks=stacks, rig=cameras_only)
-    wanted = MeasureOptions(method="m1", drop_edges=True, depth_mm=options.depth_mm)
+    # The fit judges what neighbours share: phases as they were seen, none corrected by the others.
+    wanted = MeasureOptions(method="m1", drop_edges=True, depth_mm=options.depth_mm, blur_px=None)
     n_stages = STAGES * len(options.from_) + 2
     try:
         result = measure(bare, wanted, stage=lambda name: reporter.stage(name, of=n_stages))

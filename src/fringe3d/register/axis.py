@@ -95,7 +95,7 @@ def axis_of_points(centers_mm: ArrayLike, /, *, angles: ArrayLike | None = None)
     >>> turns = np.radians([0, 40, 90, 200])
     >>> ball = np.stack([2 + 30 * np.cos(turns), 30 * np.sin(turns), 0 * turns + 5], axis=1)
     >>> found = axis_of_points(ball)
-    >>> found.point_mm.round(6).tolist(), found.direction.round(6).tolist()
+    >>> (found.point_mm.round(6) + 0.0).tolist(), (found.direction.round(6) + 0.0).tolist()
     ([2.0, 0.0, 0.0], [0.0, 0.0, 1.0])
     """
     centers = np.asarray(centers_mm, np.float64)
