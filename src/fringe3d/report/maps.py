@@ -17,7 +17,8 @@ from fringe3d.model.rejection import count_by_reason
 ACCEPTED = "#e8e8e8"
 REASON_COLORS = (
     "#d62728", "#30343b", "#9467bd", "#8c564b", "#e377c2", "#ff7f0e", "#ffdd00",
-    "#17becf", "#2ca02c", "#1f77b4", "#98df8a", "#bcbd22", "#ff9896", "#b8c4d0", "#5b4bb5", "#006d5b",
+    "#17becf", "#2ca02c", "#1f77b4", "#98df8a", "#bcbd22", "#ff9896", "#b8c4d0", "#5b4bb5",
+    "#006d5b",
 )  # fmt: skip
 MAX_PANEL_PX = 900
 """Maps are thinned to about this size; nobody sees more in one panel."""
