@@ -56,7 +56,8 @@ def write_rises(phase, sigma, limits, rises, smooth, rows):  # type: ignore[no-u
 
 
 @njit(cache=True, error_model="numpy")
-def _first(parent, node):  # type: ignore[no-untyped-def]
+def first_of(parent, node):  # type: ignore[no-untyped-def]
+    """Return the first node of a part, and shorten the way to it."""
     while parent[node] != node:
         parent[node] = parent[parent[node]]
         node = parent[node]
@@ -83,12 +84,12 @@ def join_surfaces(index, turns, most, smooth, label):  # type: ignore[no-untyped
             if col > 0 and (everywhere or smooth[1, row, col - 1]):
                 j = index[row, col - 1]
                 if j >= 0 and abs(turns[i] - turns[j]) < most:
-                    one, other = _first(parent, i), _first(parent, j)
+                    one, other = first_of(parent, i), first_of(parent, j)
                     parent[max(one, other)] = min(one, other)
             if row > 0 and (everywhere or smooth[0, row - 1, col]):
                 j = index[row - 1, col]
                 if j >= 0 and abs(turns[i] - turns[j]) < most:
-                    one, other = _first(parent, i), _first(parent, j)
+                    one, other = first_of(parent, i), first_of(parent, j)
                     parent[max(one, other)] = min(one, other)
     n_parts = 0
     for i in range(len(turns)):
@@ -98,4 +99,4 @@ def join_surfaces(index, turns, most, smooth, label):  # type: ignore[no-untyped
             label[i] = n_parts
             n_parts += 1
         else:
-            label[i] = label[_first(parent, i)]
+            label[i] = label[first_of(parent, i)]

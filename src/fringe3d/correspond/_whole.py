@@ -7,6 +7,7 @@ import math
 import numpy as np
 from numba import njit
 
+from fringe3d.correspond._joining import first_of
 from fringe3d.correspond._phase import TWO_PI
 
 MOST_JUMP = 2**15
@@ -72,14 +73,6 @@ def write_bonds(parts, higher, smooth, torn, bonds, rows):  # type: ignore[no-un
                     bonds[axis, row, col] = is_smooth and higher[axis, row, col] == 0
 
 
-@njit(cache=True, error_model="numpy")
-def _first(parent, node):  # type: ignore[no-untyped-def]
-    while parent[node] != node:
-        parent[node] = parent[parent[node]]
-        node = parent[node]
-    return node
-
-
 @njit(cache=True, nogil=True, error_model="numpy")
 def join_bonded(bonds, where, number):  # type: ignore[no-untyped-def]
     """Write the number of the component of bonded pixels, (row, col), in the order of their first
@@ -92,10 +85,10 @@ def join_bonded(bonds, where, number):  # type: ignore[no-untyped-def]
                 continue
             node = row * n_cols + col
             if col > 0 and where[row, col - 1] and bonds[1, row, col - 1]:
-                one, other = _first(parent, node), _first(parent, node - 1)
+                one, other = first_of(parent, node), first_of(parent, node - 1)
                 parent[max(one, other)] = min(one, other)
             if row > 0 and where[row - 1, col] and bonds[0, row - 1, col]:
-                one, other = _first(parent, node), _first(parent, node - n_cols)
+                one, other = first_of(parent, node), first_of(parent, node - n_cols)
                 parent[max(one, other)] = min(one, other)
     n_parts, flat, chosen = 0, number.reshape(-1), where.reshape(-1)
     for node in range(len(parent)):
@@ -106,7 +99,7 @@ def join_bonded(bonds, where, number):  # type: ignore[no-untyped-def]
             flat[node] = n_parts
             n_parts += 1
         else:
-            flat[node] = flat[_first(parent, node)]
+            flat[node] = flat[first_of(parent, node)]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
