@@ -56,6 +56,7 @@ from fringe3d.model.rejection import count_by_reason
 from fringe3d.options import MeasureOptions, keep_images, volume_of
 from fringe3d.segments import angles_without_code
 from fringe3d.triangulate import (
+    epipolar_limit_px,
     remove_edges,
     remove_isolated,
     remove_outliers,
@@ -76,10 +77,6 @@ MIN_PATCH_PIXELS = 30
 
 SPARSE_REACH_PX = 3
 """Gray code alone leaves out the pixels on the edges of its cells."""
-
-EPIPOLAR_SIGMA = 6.0
-EPIPOLAR_FLOOR_PX = 0.5
-MAD_TO_SIGMA = 1.4826
 
 
 def measure(
@@ -156,22 +153,25 @@ def measure(
             findings += check_previous(matches, main, projector, previous_mm)
     with clock("triangulating"):
         of_texture = alongside(_check_texture, matches, phases, camera, other)
-        points = triangulate(
-            matches, camera, other, volume=volume, max_epipolar_px=_epipolar_limit(matches),
-            known=matched.known,
-        )  # fmt: skip
+        points = _triangulated(matched, camera, other, volume)
         if options.best_estimate:
             points = _with_projector(points, matches, phases, camera, other, projector)
     with clock("checking"):
         findings = [*of_images(), *findings, *check_epipolar(matches), *check_yield(points)]
         findings += of_texture()
         findings += _check_devices(findings, phases, matches, points, (camera, other), rig)
-        points = _clean(points, options, main, camera)
-        if main.is_quantised:
-            points = remove_repeated(points, matches)
+        points = _clean(points, matches, options, main, camera)
     result = replace(result, matches=matches, points=points, bias=matched.bias,
                      findings=tuple(findings))  # fmt: skip
     return _finish(result, clock)
+
+
+def _triangulated(
+    matched: Matched, camera: Device, other: Device, volume: MeasuringVolume | None
+) -> PointMap:
+    limit = epipolar_limit_px(matched.matches)
+    return triangulate(matched.matches, camera, other, volume=volume, max_epipolar_px=limit,
+                       known=matched.known)  # fmt: skip
 
 
 def _with_projector(
@@ -330,18 +330,23 @@ def _decode(
     )
 
 
-def _epipolar_limit(matches: Correspondences) -> float | None:
-    """Return 6 robust sigma of the epipolar residual, px; None where there is no residual."""
-    residual = np.abs(matches.epipolar_residual_px[np.isfinite(matches.epipolar_residual_px)])
-    if not len(residual):
-        return None
-    return max(EPIPOLAR_FLOOR_PX, EPIPOLAR_SIGMA * MAD_TO_SIGMA * float(np.median(residual)))
-
-
-def _clean(points: PointMap, options: MeasureOptions, main: PhaseMap, camera: Device) -> PointMap:
+def _clean(
+    points: PointMap,
+    matches: Correspondences,
+    options: MeasureOptions,
+    main: PhaseMap,
+    camera: Device,
+) -> PointMap:
+    """Reject what belongs to no surface, or stands for others, too."""
     gap = GAP_FACTOR * typical_gap_mm(points)
-    if not np.isfinite(gap):
-        return points
+    if np.isfinite(gap):
+        points = _without_strays(points, options, main, camera, gap)
+    return remove_repeated(points, matches) if main.is_quantised else points
+
+
+def _without_strays(
+    points: PointMap, options: MeasureOptions, main: PhaseMap, camera: Device, gap: float
+) -> PointMap:
     if options.outliers != "none":
         points = remove_outliers(points, camera.center_world, max_gap_mm=gap,
                                  most_sigma=OUTLIER_SIGMA[options.outliers])  # fmt: skip

@@ -27,6 +27,11 @@ GAP_ROWS = 256
 MAX_SIGMA_OF_DEPTH = 0.02
 """Part of the depth: a point less certain than 2 % of its distance is no measurement."""
 
+EPIPOLAR_SIGMA, EPIPOLAR_FLOOR_PX = 6.0, 0.5
+"""Robust standard deviations of the epipolar residual, and the least limit."""
+
+MAD_TO_SIGMA = 1.4826
+
 
 def triangulate(
     matches: Correspondences,
@@ -127,6 +132,17 @@ def _point_map(
     bad = rejection != 0
     points_map[bad] = sigma_map[bad] = skew_map[bad] = np.nan
     return PointMap(points_mm=points_map, sigma_mm=sigma_map, skew_mm=skew_map, rejection=rejection)
+
+
+def epipolar_limit_px(matches: Correspondences, /) -> float | None:
+    """Return how far rays may miss each other in C2, px: 6 robust sigma of the epipolar residual.
+
+    None where there is no residual: fringes of one direction show none.
+    """
+    residual = np.abs(matches.epipolar_residual_px[np.isfinite(matches.epipolar_residual_px)])
+    if not len(residual):
+        return None
+    return max(EPIPOLAR_FLOOR_PX, EPIPOLAR_SIGMA * MAD_TO_SIGMA * float(np.median(residual)))
 
 
 def remove_isolated(
