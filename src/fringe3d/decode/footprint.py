@@ -111,7 +111,7 @@ def centred(phases: PhaseMap, /, *, blur_px: float = 0.4, is_first: bool = True)
         growth,
     )
     over_rows(_footprint.centre, len(answer), phases.phase, phases.phase_std, phases.modulation,
-              numbers, answer, sigma)  # fmt: skip
+              tuple(map(np.float32, numbers)), answer, sigma)  # fmt: skip
     return replace(phases, phase=answer, detailed_std=sigma, alike=0.0 if is_first else alike)
 
 
