@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from closed_form import Recording
 from closed_phases import Surface, grid_of, phase_map, seen_points, small_rig, true_turns, visible
-from fringe3d.correspond import following, orders_of_before
+from fringe3d.correspond import following, lit_before, orders_of_before, seen_before
 from fringe3d.errors import MethodError
 from fringe3d.model import NO_ORDER, PhaseMap, Rejection, Rig, Scan
 from fringe3d.pipeline import MeasureOptions, measure
@@ -59,9 +59,9 @@ def followed(
     camera, projector = rig.cameras[number], rig.projector
     assert projector is not None
     phases = phase_map(camera, projector, now, n_classes=n_classes)
-    found = orders_of_before(
-        phases, camera, projector, points_before() if before is None else before
-    )
+    points = points_before() if before is None else before
+    turns = lit_before(phases, projector, points)
+    found = orders_of_before(phases, seen_before(turns, points, camera) if number else turns)
     return found, np.floor(true_turns(camera, projector, now, grid_of(camera)))
 
 
@@ -83,7 +83,7 @@ def test_orders_that_the_code_contradicts_are_none() -> None:
     shifted = replace(next_one, order_class=np.where(
         next_one.order_class == NO_ORDER, NO_ORDER, (next_one.order_class + 1) % N_CLASSES
     ).astype(np.int32))  # fmt: skip
-    found = orders_of_before(shifted, rig.cameras[0], rig.projector, before)
+    found = orders_of_before(shifted, lit_before(shifted, rig.projector, before))
     assert (found.order_class == NO_ORDER).all()
 
 

@@ -22,7 +22,7 @@ from fringe3d.rig_bias import learn_rig_bias
 from fringe3d.simulate import OBJECTS, PRESETS, Stage, prepare, record
 from fringe3d.simulate.perturb import perturbed
 
-SIZE = (640, 512)
+SIZE = (480, 384)
 NOISE, MODULATION, FULL_WELL_E = 0.03, 96 / 255, 1e7
 """Part of the modulation, which is a part of the range; so large a well has no noise of its own."""
 

@@ -19,6 +19,7 @@ from fringe3d.correspond import (
     confirm_orders,
     doubt_at_borders,
     fringe_crossing,
+    lit_before,
     locate,
     match_both_directions,
     match_cameras,
@@ -27,6 +28,7 @@ from fringe3d.correspond import (
     orders_of_before,
     place_lost,
     quiet,
+    seen_before,
     with_true_sigma,
 )
 from fringe3d.decode import CameraPhases, has_mirrored_neighbours
@@ -117,7 +119,6 @@ def best_direction_first(
 
 def followed(
     phases: Sequence[CameraPhases],
-    camera: Device,
     other: Device,
     projector: Device | None,
     previous_mm: NDArray[np.float64] | None,
@@ -136,10 +137,10 @@ def followed(
             "projector, which tells where they were lit. Measure this frame without it"
         )
     main = phases[0].directions[0].main
-    found = []
-    for own, device in zip(phases, (camera, other), strict=False):
+    found, turns = [], lit_before(main, projector, previous_mm)
+    for own, before in zip(phases, (turns, seen_before(turns, previous_mm, other)), strict=False):
         first, *more = own.directions
-        orders = orders_of_before(first.like(main), device, projector, previous_mm)
+        orders = orders_of_before(first.like(main), before)
         found.append(replace(own, directions=(replace(first, main=orders), *more)))
     return tuple(found)
 
@@ -196,7 +197,11 @@ def match(
         views = replace(views, second1=None, second2=None)
     if method != "m6":
         views = replace(views, periods1=(), periods2=())
-    if projector is not None and volume is not None and _may_judge(views, projector, volume):
+    if (
+        projector is not None
+        and volume is not None
+        and (options.follow or _may_judge(views, projector, volume))
+    ):
         witnesses = None
         if method == "m6":
             seen = [p.directions[0].like(views.phases1) for p in phases[2:]]

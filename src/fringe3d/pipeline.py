@@ -140,7 +140,7 @@ def measure(
     rig, projector = _with_own_bias(scan.rig, camera, other), scan.rig.projector
     method = choice.method
     if options.follow:
-        phases, method = followed(phases, camera, other, projector, previous_mm), "m1"
+        phases, method = followed(phases, other, projector, previous_mm), "m1"
         main = phases[0].directions[0].main
         result = replace(result, phases=phases, why="fringe orders go on from the frame before")
     with clock("finding correspondences"):
@@ -149,17 +149,19 @@ def measure(
                         cameras=_further_cameras(rig, stacks))  # fmt: skip
         matches = matched.matches
         findings = _check_orders(matched, main, rig, volume, method)
-        if previous_mm is not None and projector is not None:
+        if previous_mm is not None and projector is not None and not options.follow:
             findings += check_previous(matches, main, projector, previous_mm)
     with clock("triangulating"):
-        of_texture = alongside(_check_texture, matches, phases, camera, other)
+        is_checked = other.role == "camera" and not options.follow
+        of_texture = alongside(_check_texture, matches, phases, camera, other, is_checked)
         points = _triangulated(matched, camera, other, volume)
         if options.best_estimate:
             points = _with_projector(points, matches, phases, camera, other, projector)
     with clock("checking"):
         findings = [*of_images(), *findings, *check_epipolar(matches), *check_yield(points)]
         findings += of_texture()
-        findings += _check_devices(findings, phases, matches, points, (camera, other), rig)
+        if is_checked:
+            findings += _check_devices(findings, phases, matches, points, (camera, other), rig)
         points = _clean(points, matches, options, main, camera)
     result = replace(result, matches=matches, points=points, bias=matched.bias,
                      findings=tuple(findings))  # fmt: skip
@@ -230,9 +232,13 @@ def _check_images(
 
 
 def _check_texture(
-    matches: Correspondences, phases: Sequence[CameraPhases], camera: Device, other: Device
+    matches: Correspondences,
+    phases: Sequence[CameraPhases],
+    camera: Device,
+    other: Device,
+    is_asked: bool,
 ) -> Sequence[Finding]:
-    if other.role != "camera":
+    if not is_asked:
         return []
     main = phases[0].directions[0].main
     return check_texture(matches, main, phases[1].directions[0].like(main), camera, other)
@@ -247,7 +253,7 @@ def _check_devices(
     rig: Rig,
 ) -> list[Finding]:
     """Check what cameras and projector say of each other; `before`: findings so far."""
-    if cameras[1].role != "camera" or rig.projector is None:
+    if rig.projector is None:
         return []
     found = check_trinocular(points, phases[0].directions[0].main, rig.projector)
     devices = (*cameras, rig.projector)

@@ -65,6 +65,7 @@ class Session:
         keep: bool = True,
     ) -> None:
         self.rig, self.plan, self.options = rig, plan, options or MeasureOptions()
+        self._rig_of_frames = None if rig is None else replace(rig, bias=None)
         if keep:
             keep_curves(mapped)
 
@@ -104,8 +105,9 @@ class Session:
         """Measure what one recording shows, a moment after another.
 
         The fringe orders go on from the points before, and both cameras must agree on them, as on
-        those of a full code (M1): several times as fast as to find them. What moved by more than a
-        third of a period, or came into view apart from all else, is missing. Where less than
+        those of a full code (M1): several times as fast as to find them. The calibration is not
+        checked again by texture and projector. What moved by more than a third of a period, or came
+        into view apart from all else, is missing. Where less than
         `LEAST_FOLLOWED` of the points are left, or the calibration seems to have changed, as wrong
         orders make it seem, all is measured anew.
 
@@ -129,7 +131,7 @@ class Session:
         assert before.points is not None
         try:
             found = measure(
-                Scan(stacks=tuple(stacks), rig=replace(self.rig, bias=None)),
+                Scan(stacks=tuple(stacks), rig=self._rig_of_frames),
                 replace(self.options, follow=True),
                 previous_mm=before.points.points_mm,
             )

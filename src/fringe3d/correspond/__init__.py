@@ -5,7 +5,7 @@ from fringe3d.correspond.both_directions import match_both_directions
 from fringe3d.correspond.candidates import FIT_SIGMA, ChosenOrders, choose_orders
 from fringe3d.correspond.curves import keep_curves, ray_curves
 from fringe3d.correspond.direct import Located, locate
-from fringe3d.correspond.following import orders_of_before
+from fringe3d.correspond.following import lit_before, orders_of_before, seen_before
 from fringe3d.correspond.near import match_near_sheets
 from fringe3d.correspond.noise import variance_between, with_true_sigma
 from fringe3d.correspond.placement import place_lost
@@ -44,6 +44,7 @@ __all__ = [
     "fringe_crossing",
     "guard_px",
     "keep_curves",
+    "lit_before",
     "locate",
     "match_both_directions",
     "match_cameras",
@@ -55,6 +56,7 @@ __all__ = [
     "ray_curves",
     "resolve_orders",
     "rivals",
+    "seen_before",
     "tells_enough",
     "twin_share",
     "variance_between",

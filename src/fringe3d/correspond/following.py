@@ -27,35 +27,60 @@ a code must tell apart for that. Without one they would run into the table behin
 its phase joins that of an object smoothly, whole periods away."""
 
 
-def orders_of_before(
-    phases: PhaseMap, device: Device, projector: Device, points_mm: NDArray[np.float64], /
-) -> PhaseMap:
-    """Give each pixel of a camera the fringe order that goes on from the points before.
+def lit_before(
+    phases: PhaseMap, projector: Device, points_mm: NDArray[np.float64], /
+) -> NDArray[np.float64]:
+    """Return the absolute phase, turns, at which the projector lights points, (row, col).
 
-    Each point is seen by the camera at a pixel, and lit at an absolute phase. The order of the
-    pixel is the one that comes nearest to it, unless the phase has moved by more than a third of a
-    period, or its neighbours on the same surface demand another one. With a code, which must not
-    contradict them, orders are carried on along a smooth phase to pixels that saw nothing before;
-    without one holes of a pixel are closed, and no more.
+    Parameters
+    ----------
+    phases : PhaseMap; of the fringes in question
+    projector : Device
+    points_mm : (row, col, 3) float, mm; of the frame before, NaN for none
+    """
+    x, y = np.moveaxis(project(projector, points_mm), -1, 0)
+    return across(phases.angle, x, y) / phases.period_px
+
+
+def seen_before(
+    turns: NDArray[np.float64], points_mm: NDArray[np.float64], device: Device, /
+) -> NDArray[np.float64]:
+    """Return the absolute phase, turns, of points in the image of a device, (row, col).
+
+    Of several points that one of its pixels sees it is that of the nearest; NaN where there is
+    none.
+
+    Parameters
+    ----------
+    turns : (...,) float; absolute phases of the points
+    points_mm : (..., 3) float, mm
+    device : Device
+    """
+    points = points_mm.reshape(-1, 3)
+    depths = np.ascontiguousarray(device.device_from_world.apply(points)[:, 2])
+    before, nearest = np.empty((2, *device.shape))
+    _following.enter(project(device, points), depths, turns.ravel(), nearest, before)
+    return before
+
+
+def orders_of_before(phases: PhaseMap, before: NDArray[np.float64], /) -> PhaseMap:
+    """Give each pixel of a camera the fringe order that goes on from the frame before.
+
+    The order of a pixel is the one that comes nearest to the absolute phase that it saw, unless the
+    phase has moved by more than a third of a period, or its neighbours on the same surface demand
+    another one. With a code, which must not contradict them, orders are carried on along a smooth
+    phase to pixels that saw nothing before; without one holes of a pixel are closed, and no more.
 
     Parameters
     ----------
     phases : PhaseMap; of a camera, whatever it knows of the orders
-    device : Device; the camera
-    projector : Device
-    points_mm : (..., 3) float, mm; of the frame before, NaN for none
+    before : (row, col) float, turns; absolute phases of the frame before, NaN for none
 
     Returns
     -------
     PhaseMap
         Absolute; pixels without an order are AMBIGUOUS.
     """
-    points = points_mm[np.isfinite(points_mm[..., 0])]
-    turns = across(phases.angle, *project(projector, points).T) / phases.period_px
-    shape = phases.phase.shape
-    before, nearest = np.empty((2, *shape))
-    depths = np.ascontiguousarray(device.device_from_world.apply(points)[:, 2])
-    _following.enter(project(device, points), depths, turns, nearest, before)
     order = _continued(phases, before)
     first, n_orders = phases.first_order, len(phases.class_of_order)
     classes = np.take(phases.class_of_order, order - first, mode="clip")

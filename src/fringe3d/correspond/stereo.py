@@ -24,7 +24,7 @@ from fringe3d.model.rejection import reject
 OUTSIDE_VOLUME = 9
 """State of a ray that does not meet the measuring volume; the search has its own states."""
 
-SAMPLE = 20_000
+SAMPLE = 5_000
 
 SECOND_SIGMA, SECOND_CALIBRATION_RAD = 6.0, 0.2
 """How far the second direction may disagree: by noise, and by 0.3 px of calibration across fringes
