@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import time
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,7 @@ from stored_result import N_DARK, N_SATURATED, SHAPE, write_stored_result
 
 BACKGROUND = (16, 18, 22)
 GREY_SPREAD = 8
+N_POINTS = 4360
 """Borders of points mix with the background, which is a little blue."""
 
 
@@ -141,6 +143,18 @@ def test_a_browser_shows_points_and_colours(result: Path) -> None:
         page.mouse.up()
         assert (pixels_of(canvas) != grey).any(axis=-1).mean() > 0.02
         assert page.evaluate("[...document.images].every(i => i.naturalWidth > 300)")
+        # Each frame takes 200 ms: the coarsest level while it moves, all points at rest.
+        page.wait_for_selector(f"#cloud[data-shown='{N_POINTS}']")
+        page.evaluate(
+            "() => { requestAnimationFrame = f => setTimeout(() => f(performance.now()), 200); }"
+        )
+        page.mouse.down()
+        end = time.monotonic() + 20
+        while page.get_attribute("#cloud", "data-shown") != "4096" and time.monotonic() < end:
+            page.mouse.move(box["x"] + 300 + 50 * (time.monotonic() % 2), box["y"] + 200)
+        assert page.get_attribute("#cloud", "data-shown") == "4096"
+        page.mouse.up()
+        page.wait_for_selector(f"#cloud[data-shown='{N_POINTS}']")
         assert said == []
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,7 @@ from fringe3d.errors import MethodError
 from fringe3d.io.rigfile import rig_text
 from fringe3d.io.stored import StoredResult, read_result
 from fringe3d.model import Device, MeasuringVolume, PhaseMap, Rig, RigidTransform
+from fringe3d.view.pace import Detail, levels_of
 from fringe3d.view.pixel import angle_of, nearest_pixel, pixel_story, residual_along
 from fringe3d.view.shapes import frustum_lines, grid_triangles, light_sheet, volume_lines
 from stored_result import SHAPE, write_stored_result
@@ -243,28 +245,70 @@ def test_a_browser_shows_the_live_view(stored: StoredResult) -> None:
             live.server.stop()
 
 
-def test_a_slow_browser_gets_fewer_points_and_is_told(
+def test_points_move_as_the_browser_can_draw_them() -> None:
+    """Browsers of two speeds, told by their frames alone: the level is the fastest that fits."""
+    levels = levels_of(1_000_000)
+
+    def driven(frame_s: Callable[[int], float], frames: int) -> tuple[Detail, float]:
+        detail, now = Detail(levels), 100.0
+        for _ in range(frames):
+            detail.moved(now)
+            now += frame_s(levels[detail.level])
+        return detail, now
+
+    # 40 ms for the page and 2 us a point: 16,384 points take 73 ms, 32,768 more than 75.
+    slow, now = driven(lambda n: 0.04 + 2e-6 * n, 100)
+    assert levels[slow.level] == 16_384
+    assert levels[slow.resting] < 1_000_000
+    fast, _ = driven(lambda _: 0.02, 100)
+    assert levels[fast.level] == levels[fast.resting] == 1_000_000
+    # After a rest the slow one sees more, step by step, and fewer at once when it moves again.
+    waits = [slow.wait_s(now)]
+    assert 0.3 < waits[0] < 0.5
+    shown = [slow.level]
+    while slow.level < slow.resting:
+        slow.rested(now)
+        shown.append(slow.level)
+    assert shown == sorted(shown)
+    assert levels[shown[-1]] == 262_144  # 0.57 s
+    slow.moved(now)
+    assert levels[slow.level] == 16_384
+    slow.is_everything = True
+    assert levels[slow.resting] == 1_000_000
+
+
+def test_a_pause_of_the_hand_is_no_slow_frame() -> None:
+    detail = Detail(levels_of(100_000))
+    for frame in range(40):
+        detail.moved(0.02 * frame + 2.0 * (frame // 4))
+    assert detail.level == detail.resting == len(levels_of(100_000)) - 1
+
+
+def test_some_of_the_points_cover_the_same_area(
     stored: StoredResult, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Two results of 4,360 points: 1,000 of all, as many of each; colours and story go on."""
+    """Two results of 4,360 points: 1,000 of all, as many of each, evenly spread."""
     pytest.importorskip("viser")
     from fringe3d.view import live as module
 
-    monkeypatch.setattr(module, "FEW_POINTS", 1000)
+    monkeypatch.setattr(module, "levels_of", lambda n: [1000, n])
     live = module.LiveView([stored, stored], host="127.0.0.1", port=8767,
                            phases=lambda _: {})  # fmt: skip
     try:
-        size = live.cloud.point_size
-        live.show_fewer(True)
-        assert "1,000 of 8,720 points shown" in live.drawn.content
-        assert len(live.cloud.points) == len(live.cloud.colors) == 500
-        # The same area is covered.
-        assert live.cloud.point_size == pytest.approx(size * np.sqrt(8.72))
+        few, others = live.cloud.nodes
+        size = few.point_size
+        live.show_level(0)
+        assert (few.visible, others.visible) == (True, False)
+        assert len(few.points) == len(few.colors) == 500
+        assert few.point_size == pytest.approx(size * np.sqrt(8.72))
+        middle = live._staged(stored, np.zeros(3))[stored.rejection.ravel() == 0].mean(axis=0)
+        # Of 500 points over 20 by 15 mm; at random the mean is within 3 x 0.26 mm.
+        np.testing.assert_allclose(few.points.mean(axis=0)[:2], middle[:2], atol=0.8)
         live.colour_by("brightness")
-        assert len(live.cloud.colors) == 500
-        live.show_fewer(False)
-        assert live.drawn.content == ""
-        assert len(live.cloud.points) == len(live.cloud.colors) == 4360
+        assert (len(few.colors), len(others.colors)) == (500, 3860)
+        live.show_level(1)
+        assert (few.visible, others.visible) == (True, True)
+        assert few.point_size == pytest.approx(size)
     finally:
         live.server.stop()
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -20,7 +19,8 @@ from fringe3d.patterns import across
 from fringe3d.report.advice import reason_rows
 from fringe3d.report.cloud_data import Channel, channels_of, thinned
 from fringe3d.report.maps import REASON_COLORS, robust_limits
-from fringe3d.view.pace import Pace
+from fringe3d.view.layers import Layers, Pacing, Surface
+from fringe3d.view.pace import levels_of
 from fringe3d.view.phases import other_phases
 from fringe3d.view.pixel import (
     Candidate,
@@ -30,25 +30,16 @@ from fringe3d.view.pixel import (
     pixel_story,
     seen_volume,
 )
-from fringe3d.view.shapes import frustum_lines, grid_triangles, light_sheet, volume_lines
+from fringe3d.view.shapes import frustum_lines, light_sheet, volume_lines
 
-MOST_FACES = 1_500_000
 BETWEEN = 1.15
 """Results stand side by side at so many widths of the first."""
 
 SHEET_REACH = 1.15
 """Of the distance of the point: light sheets are drawn a little beyond it."""
 
-SURFACE = (190, 195, 205)
-
 MOST_POINTS = 1_000_000
 """More points make turning slow; the others are left out at random."""
-
-FEW_POINTS = 60_000
-"""Of all results together: so many turn smoothly where the processor draws, too."""
-
-LOADING_S = 5.0
-"""After a page is opened: it is slow as long as points arrive."""
 
 DEVICE_COLOURS = {"camera": (70, 130, 220), "projector": (230, 160, 40)}
 TAKEN, OTHER, RAY = (40, 200, 80), (230, 60, 60), (120, 60, 200)
@@ -64,9 +55,8 @@ class _Shown:
     places: NDArray[np.intp]
     channels: dict[str, Channel]
     aside: NDArray[np.float64]
-    cloud: Any = None
-    surface: Any = None
-    size: float = 0.0
+    cloud: Layers
+    surface: Surface | None = None
 
 
 class LiveView:
@@ -96,42 +86,42 @@ class LiveView:
         self.stored, self._several = results[0], len(results) > 1
         self._phases_of, self._phases = phases, dict[int, Mapping[str, PhaseMap]]()
         self.server = viser.ViserServer(host=host, port=port, label="fringe3d", verbose=False)
-        self._lock, self._was_slow = threading.Lock(), False
+        self._lock = threading.Lock()
         points = self.stored.maps["points_mm"][self.stored.rejection == 0]
         self._middle = np.median(points, axis=0)
         reach = float(np.linalg.norm(np.percentile(points, 99, 0) - np.percentile(points, 1, 0)))
+        valid = [result.rejection == 0 for result in results]
+        self._levels = levels_of(sum(min(most_points, int(v.sum())) for v in valid))
+        self._level, self._is_surface = len(self._levels) - 1, False
         self._shown = [
-            self._on_stage(number, result, reach, most_points)
-            for number, result in enumerate(results)
+            self._on_stage(number, result, reach, thinned(kept, most_points))
+            for number, (result, kept) in enumerate(zip(results, valid, strict=True))
         ]
         self._channels = self._shown[0].channels
         self.cloud = self._shown[0].cloud
-        self._all = [shown.places for shown in self._shown]
         self._add_rig()
         self._look_from_c1(reach * len(results))
         self._add_controls(len(self._shown[0].places), len(points))
-        self.server.on_client_connect(self._watch_pace)
+        self._pacing = Pacing(self.server, self._levels, self.show_level)
 
     def _on_stage(
-        self, number: int, stored: StoredResult, reach: float, most_points: int
+        self, number: int, stored: StoredResult, reach: float, places: NDArray[np.intp]
     ) -> _Shown:
-        places = thinned(stored.rejection == 0, most_points)
         rig = self.stored.rig
         sideways = np.eye(3)[0] if rig is None else rig.cameras[0].device_from_world.rotation[0]
         channels = {channel.name: channel for channel in channels_of(stored.maps)}
         if number and stored.rejection.shape == self.stored.rejection.shape:
             away = deviation_mm(stored, self.stored)
             channels["from the first"] = Channel("from the first", "mm", away, "RdBu_r")
-        shown = _Shown(stored, places, channels, number * BETWEEN * reach * sideways)
-        points = self._staged(shown)[places]
-        first = next(iter(channels.values()))
-        shown.size = 1.5 * reach / np.sqrt(len(points))
-        # Shown around their middle: single precision is enough there.
-        shown.cloud = self.server.scene.add_point_cloud(
-            "/points" if number == 0 else f"/points {number + 1}", points,
-            self._colours(shown, first), point_size=shown.size,
-            precision="float32", point_shading="flat",
+        aside = number * BETWEEN * reach * sideways
+        points = self._staged(stored, aside)[places]
+        first = colours_of(next(iter(channels.values())), places)
+        ends = [round(len(places) * n / self._levels[-1]) for n in self._levels]
+        cloud = Layers(
+            self.server, "/points" if number == 0 else f"/points {number + 1}", points, first,
+            ends, 1.5 * reach / np.sqrt(len(points)),
         )  # fmt: skip
+        shown = _Shown(stored, places, channels, aside, cloud)
         if self._several:
             above = np.nanmin(points, axis=0) if len(points) else shown.aside
             name = f"{stored.folder.name}: {stored.record['method']}"
@@ -151,52 +141,28 @@ class LiveView:
         if name == "from the first":
             low, high = -max(abs(low), abs(high)), max(abs(low), abs(high))
         for shown in having:
-            shown.cloud.colors = self._colours(shown, shown.channels[name], (low, high))
+            shown.cloud.colour(colours_of(shown.channels[name], shown.places, (low, high)))
         self.scale.content = f"{low:.4g} to {high:.4g} {channel.unit} ({channel.colours})"
 
-    def show_fewer(self, is_fewer: bool, /) -> None:
-        """Show some of the points, evenly at random and larger, or all again."""
-        total = sum(map(len, self._all))
-        part = min(1.0, FEW_POINTS / total) if is_fewer else 1.0
-        rng = np.random.default_rng(0)
-        for shown, places in zip(self._shown, self._all, strict=True):
-            kept = np.sort(rng.choice(places, round(part * len(places)), replace=False))
-            shown.places = places if part == 1 else kept
-            with self.server.atomic():
-                shown.cloud.points = self._staged(shown)[shown.places]
-                self.colour_by(self.colour.value)
-                shown.cloud.point_size = shown.size / np.sqrt(part)
-        count = f"{sum(len(shown.places) for shown in self._shown):,} of {total:,} points shown"
-        self.drawn.content = count if part < 1 else ""
-
-    def _watch_pace(self, client: Any) -> None:
-        """Show fewer points to a browser that cannot follow the hand, and say so; once."""
-        pace, first = Pace(), time.monotonic() + LOADING_S
-
-        def moved(_camera: Any) -> None:
-            if time.monotonic() < first:
-                return
-            is_slow = pace.is_slow(time.monotonic()) and sum(map(len, self._all)) > FEW_POINTS
-            if is_slow and not self._was_slow:
-                self._was_slow = True
-                self.fewer.value = True  # which shows them
-
-        client.camera.on_update(moved)
+    def show_level(self, level: int, /) -> None:
+        """Show the points of a level, counted from the coarsest, or the surfaces that suit it."""
+        self._level = level
+        with self.server.atomic():
+            for shown in self._shown:
+                shown.cloud.show(None if self._is_surface else level)
+                if shown.surface is not None:
+                    is_fine = level == len(self._levels) - 1
+                    shown.surface.show(self._is_surface, is_fine=is_fine)
 
     def as_surface(self, is_surface: bool, /) -> None:
         """Show surfaces between neighbouring pixels instead of points, or points again."""
         for number, shown in enumerate(self._shown):
             if is_surface and shown.surface is None:
-                faces = grid_triangles(shown.stored.maps["points_mm"])[:MOST_FACES]
-                used, renumbered = np.unique(faces, return_inverse=True)
-                shown.surface = self.server.scene.add_mesh_simple(
-                    f"/surface {number + 1}", self._staged(shown)[used],
-                    renumbered.reshape(-1, 3).astype(np.uint32), color=SURFACE, side="double",
-                    flat_shading=True, cast_shadow=False, receive_shadow=False,
-                )  # fmt: skip
-            shown.cloud.visible = not is_surface
-            if shown.surface is not None:
-                shown.surface.visible = is_surface
+                points = self._staged(shown.stored, shown.aside)
+                grid = points.reshape(*shown.stored.rejection.shape, 3)
+                shown.surface = Surface(self.server, f"/surface {number + 1}", grid)
+        self._is_surface = is_surface
+        self.show_level(self._level)
 
     def show_pixel(self, row: int, col: int, /, *, number: int = 0) -> PixelStory | None:
         """Show the ray of a pixel of C1 and its candidates; None where that is not possible."""
@@ -251,21 +217,10 @@ class LiveView:
                 cast_shadow=False, receive_shadow=False,
             )  # fmt: skip
 
-    def _staged(self, shown: _Shown) -> NDArray[np.float32]:
+    def _staged(self, stored: StoredResult, aside: NDArray[np.float64]) -> NDArray[np.float32]:
         """Return all points (n, 3) of a result where they are shown."""
-        points = shown.stored.maps["points_mm"].reshape(-1, 3)
-        return np.asarray(points - self._middle + shown.aside, np.float32)
-
-    def _colours(
-        self, shown: _Shown, channel: Channel, limits: tuple[float, float] | None = None
-    ) -> NDArray[np.uint8]:
-        values = np.asarray(channel.values, np.float64).ravel()[shown.places]
-        low, high = limits or robust_limits(values)
-        part = np.nan_to_num(np.clip((values - low) / (high - low), 0, 1))
-        colours: NDArray[np.uint8] = (255 * colormaps[channel.colours](part)[:, :3]).astype(
-            np.uint8
-        )
-        return colours
+        points = stored.maps["points_mm"].reshape(-1, 3)
+        return np.asarray(points - self._middle + aside, np.float32)
 
     def _lines(
         self, name: str, segments: NDArray[np.float64], colour: tuple[int, int, int]
@@ -309,11 +264,12 @@ class LiveView:
         self.scale = gui.add_markdown("")
         self.colour.on_update(lambda _: self.colour_by(self.colour.value))
         self.colour_by(self.colour.value)
-        self.fewer: Any = gui.add_checkbox(
-            "fewer points", False, hint="Ticked by itself where turning is slow"
-        )
-        self.fewer.on_update(lambda _: self.show_fewer(bool(self.fewer.value)))
-        self.drawn = gui.add_markdown("")
+        if len(self._levels) > 1:
+            everything: Any = gui.add_checkbox(
+                "all points, even if slow", False,
+                hint="Otherwise fewer, larger ones where the browser is slow, and while it moves",
+            )  # fmt: skip
+            everything.on_update(lambda _: self._pacing.draw_everything(bool(everything.value)))
         self.surface = gui.add_checkbox("surfaces instead of points", False)
         self.surface.on_update(lambda _: self.as_surface(bool(self.surface.value)))
         with gui.add_folder("pixel of C1"):
@@ -331,7 +287,9 @@ class LiveView:
         def _(event: Any) -> None:
             hits = []
             for number, shown in enumerate(self._shown):
-                points = self._staged(shown).reshape(*shown.stored.rejection.shape, 3)
+                points = self._staged(shown.stored, shown.aside).reshape(
+                    *shown.stored.rejection.shape, 3
+                )
                 found = nearest_pixel(
                     points.astype(np.float64), event.ray_origin, event.ray_direction
                 )
@@ -347,6 +305,16 @@ class LiveView:
             image, legend = rejection_image(self.stored.rejection)
             gui.add_image(image)
             gui.add_markdown(legend)
+
+
+def colours_of(
+    channel: Channel, places: NDArray[np.intp], limits: tuple[float, float] | None = None, /
+) -> NDArray[np.uint8]:
+    """Return the colours (n, 3) of some places of a channel, between limits or its own."""
+    values = np.asarray(channel.values, np.float64).ravel()[places]
+    low, high = limits or robust_limits(values)
+    part = np.nan_to_num(np.clip((values - low) / (high - low), 0, 1))
+    return np.asarray(255 * colormaps[channel.colours](part)[:, :3]).astype(np.uint8)
 
 
 def rejection_image(rejection: NDArray[np.uint16], /) -> tuple[NDArray[np.uint8], str]:

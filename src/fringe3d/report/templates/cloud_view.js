@@ -47,14 +47,58 @@ function showCloud(root, cloud) {
   const start = () => ({turn: [[1, 0, 0], [0, 1, 0], [0, 0, 1]], away: 2 * reach, x: 0, y: 0});
   let state = start();
 
+  // Points come in random order: while the view moves only the first ones are drawn, larger, so many
+  // that a frame takes 30 to 70 ms. Once it rests for 300 ms the picture fills with all of them, a part
+  // in each frame, so that a movement never has to wait for long.
+  const least = Math.min(cloud.count, 4096), slow = 70, fast = 30, rest = 300;
+  let moving = Math.min(cloud.count, 16384), touched = -Infinity, last = 0, frames = 0, next = null;
+
+  function move() {
+    const isMoving = performance.now() - touched < rest;
+    touched = performance.now();
+    if (isMoving) return;
+    frames = 0;
+    cancelAnimationFrame(next);
+    next = requestAnimationFrame(step);
+  }
+
+  function step(now) {
+    if (now - touched >= rest) return draw();
+    part(0, moving, moving);
+    const gap = now - last;
+    last = now;
+    frames += 1;
+    // The first frames still wait for those before.
+    if (frames > 2 && (gap > slow || gap < fast)) {
+      const wanted = moving * Math.min(2, Math.max(0.1, 45 / gap));
+      const changed = Math.round(Math.min(cloud.count, Math.max(least, wanted)));
+      if (changed !== moving) frames = 0;
+      moving = changed;
+    }
+    next = requestAnimationFrame(step);
+  }
+
   function draw() {
+    cancelAnimationFrame(next);
+    touched = -Infinity;
+    fill(0);
+  }
+
+  function fill(first) {
+    const size = Math.max(4 * least, 2 * moving);
+    part(first, Math.min(size, cloud.count - first), cloud.count);
+    if (first + size < cloud.count) next = requestAnimationFrame(() => fill(first + size));
+    else root.dataset.drawn = cloud.count;
+  }
+
+  function part(first, count, of) {
     const scale = window.devicePixelRatio || 1;
     const [width, height] = [canvas.clientWidth * scale, canvas.clientHeight * scale].map(Math.round);
     if (canvas.width !== width || canvas.height !== height) [canvas.width, canvas.height] = [width, height];
     gl.viewport(0, 0, width, height);
     gl.clearColor(0.063, 0.071, 0.086, 1);
     gl.enable(gl.DEPTH_TEST);
-    gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
+    if (first === 0) gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
     // Device frame: x right, y down, z forward.
     const turned = times(state.turn, cloud.rotation);
     const near = state.away / 50, far = state.away + 2 * whole, f = 2.2;
@@ -68,8 +112,10 @@ function showCloud(root, cloud) {
     gl.uniformMatrix4fv(gl.getUniformLocation(program, "view"), false,
                         new Float32Array([0, 1, 2, 3].flatMap(j => view.map(row => row[j]))));
     const size = Number(root.querySelector("input").value) * scale * 2 * reach / state.away;
-    gl.uniform1f(gl.getUniformLocation(program, "size"), Math.max(1, size));
-    gl.drawArrays(gl.POINTS, 0, cloud.count);
+    const larger = Math.sqrt(cloud.count / of);
+    gl.uniform1f(gl.getUniformLocation(program, "size"), Math.max(1, size) * larger);
+    gl.drawArrays(gl.POINTS, first, count);
+    root.dataset.shown = first + count;
   }
 
   function colour(channel) {
@@ -106,15 +152,14 @@ function showCloud(root, cloud) {
       const about_x = [[1, 0, 0], [0, Math.cos(b), -Math.sin(b)], [0, Math.sin(b), Math.cos(b)]];
       state.turn = times(about_x, times(about_y, state.turn));
     }
-    draw();
+    move();
   };
   canvas.addEventListener("wheel", event => {
     event.preventDefault();
     state.away = Math.min(20 * reach, Math.max(0.1 * reach, state.away * Math.exp(event.deltaY * 0.001)));
-    draw();
+    move();
   }, {passive: false});
   canvas.ondblclick = () => { state = start(); draw(); };
   window.addEventListener("resize", draw);
   colour(cloud.channels[0]);
-  root.dataset.drawn = cloud.count;
 }
