@@ -35,6 +35,10 @@ class EmptyResultError(Fringe3DError, ValueError):
     """Not a single pixel gave a point."""
 
 
+class RegistrationError(Fringe3DError, ValueError):
+    """Views cannot be placed without doubt."""
+
+
 class OutputError(Fringe3DError):
     """The result cannot be written."""
 

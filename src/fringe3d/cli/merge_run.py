@@ -46,6 +46,7 @@ class MergeOptions:
     reference: Path | None
     jobs: int | None
     skip_broken: bool
+    despite_conflicts: bool
     overwrite: bool
     command: str
     measuring: MeasureOptions
@@ -65,7 +66,9 @@ def run_merge(options: MergeOptions, reporter: Reporter, /) -> tuple[str, dict[s
     axis = read_table_axis(options.axis) if options.axis else None
     triangles = read_triangles(options.reference) if options.reference else None
     measured = _measured(sources, options, reporter)
-    wanted = RegisterOptions(angles=options.angles, axis=axis)
+    wanted = RegisterOptions(
+        angles=options.angles, axis=axis, despite_conflicts=options.despite_conflicts
+    )
     found = register(measured.views, wanted, step=reporter.step)
     cloud = fuse(measured.views, found.body_from_view, noise_factor=found.noise_factor,
                  step=reporter.step)  # fmt: skip

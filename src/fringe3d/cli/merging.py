@@ -36,6 +36,7 @@ def merge(
     reference: Path | None = None,
     jobs: Annotated[int | None, Parameter(validator=at_least(1))] = None,
     skip_broken: Annotated[bool, Parameter(negative=())] = False,
+    despite_conflicts: Annotated[bool, Parameter(negative=())] = False,
     overwrite: Overwrite = False,
     as_json: Json = False,
 ) -> None:
@@ -87,6 +88,9 @@ def merge(
         Scans measured at a time; one for each core by default.
     skip_broken
         Leave out scans that cannot be measured, and say which.
+    despite_conflicts
+        Go on where views that shape alone placed (unknown, free) contradict each other: one camera
+        looked through what another one saw.
     """
     from fringe3d.cli.merge_run import MergeOptions, parse_formats, parse_turns, run_merge
     from fringe3d.io.importing import parse_depth
@@ -95,7 +99,8 @@ def merge(
     options = MergeOptions(
         scans=scans, out=out, angles=angles, turns_deg=parse_turns(turns), axis=axis, rig=rig,
         images=images, mesh=mesh, closed=holes == "closed", formats=parse_formats(formats),
-        reference=reference, jobs=jobs, skip_broken=skip_broken, overwrite=overwrite,
+        reference=reference, jobs=jobs, skip_broken=skip_broken,
+        despite_conflicts=despite_conflicts, overwrite=overwrite,
         command=shlex.join(["fringe3d", *sys.argv[1:]]),
         measuring=MeasureOptions(method=method, depth_mm=parse_depth(depth) if depth else None,
                                  filter=filter_, drop_edges=not keep_edges),

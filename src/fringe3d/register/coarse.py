@@ -5,22 +5,20 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from fringe3d.errors import EmptyResultError
+from fringe3d.errors import RegistrationError
 from fringe3d.model import RigidTransform, SurfaceView, TableAxis
 from fringe3d.register.axis import axis_of_motions
+from fringe3d.register.blocks import Blocks, blocks_of, links_of
 from fringe3d.register.pairs import (
-    PairFit,
     is_possible,
-    is_sure,
-    judge_pair,
     match_pair,
 )
 from fringe3d.register.table_model import groups_of
+from fringe3d.register.turning import joined_by_turns, tuned_turns
 
 Step = Callable[[str, int, int], object]
 
@@ -30,20 +28,10 @@ ANGLE_FITS = math.radians(3.0)
 ENOUGH_MOTIONS = 4
 """Pairs of views whose turns fit the table's angles: they give its axis."""
 
+ROUGH = math.radians(0.2)
+"""Angles known worse than this are made finer before tilts are joined."""
+
 LEAST_STEP, MOST_STEP = math.radians(5), math.radians(100)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Links:
-    """Pairs of views that fit, by their numbers."""
-
-    fits: dict[tuple[int, int], PairFit]
-
-    def motion(self, a: int, b: int, /) -> RigidTransform:
-        """Return ``a_from_b``."""
-        if (a, b) in self.fits:
-            return self.fits[a, b].first_from_second
-        return self.fits[b, a].first_from_second.inverse()
 
 
 def place_by_angles(
@@ -77,14 +65,21 @@ def place_by_angles(
         for k in group:
             turned = _angle(views[k]) - _angle(views[group[0]])
             placed[k] = axis.turn(-turned)  # group's first view from view k
-    poses = {k: placed[k] for k in groups[0]}
-    for number, group in enumerate(groups[1:]):
-        step("joining tilts", number, len(groups) - 1)
-        joined = _joined(views, groups[0], group, placed)
-        if joined is None:
-            return None
-        poses |= {k: joined @ placed[k] for k in group}
-    return tuple(poses[k] for k in range(len(views)))
+    blocks = blocks_of(views, [{k: placed[k] for k in group} for group in groups])
+    if angle_sigma > ROUGH:
+        for group in groups:
+            tuned_turns(blocks, group, axis, 3 * angle_sigma)
+    blocks.join_by_clouds(step)
+    if len(blocks.blocks) > 1:
+        blocks.join_by(links_of(views, _open_pairs(blocks), step))
+    return _in_first(blocks) if len(blocks.blocks) == 1 else None
+
+
+def _in_first(blocks: Blocks) -> tuple[RigidTransform, ...]:
+    """Return where all views of one block lie in the frame of the first view."""
+    block = blocks.blocks[0]
+    first = block[0].inverse()
+    return tuple(first @ block[k] for k in range(len(block)))
 
 
 def _angle(view: SurfaceView) -> float:
@@ -147,46 +142,22 @@ def _near_pairs(
     yield from ((a, b) for _, _, a, b in sorted(every)[: 4 * ENOUGH_MOTIONS])
 
 
-def _joined(
-    views: Sequence[SurfaceView],
-    first: Sequence[int],
-    group: Sequence[int],
-    placed: dict[int, RigidTransform],
-) -> RigidTransform | None:
-    """Return where a tilt lies: the first view of `first` from the first view of `group`."""
-    best: tuple[float, RigidTransform] | None = None
-    for a in first:
-        for b in (group[0], group[len(group) // 3], group[2 * len(group) // 3]):
-            fit = match_pair(views[a], views[b])
-            if fit is None or not is_possible(fit):
-                continue
-            joined = placed[a] @ fit.first_from_second @ placed[b].inverse()
-            if best is None or fit.quality > best[0]:
-                best = fit.quality, joined
-            if is_sure(fit) and _holds(views, first, group, placed, joined):
-                return joined
-    return best[1] if best else None
-
-
-def _holds(
-    views: Sequence[SurfaceView], first: Sequence[int], group: Sequence[int],
-    placed: dict[int, RigidTransform], joined: RigidTransform,
-) -> bool:  # fmt: skip
-    """Tell whether other views of both tilts agree with it, too."""
-    judged = []
-    for k in range(3):
-        a, b = first[k * len(first) // 3], group[k * len(group) // 3]
-        judged.append(judge_pair(views[a], views[b], placed[a].inverse() @ joined @ placed[b]))
-    return all(fit.contradiction < 0.2 for fit in judged)
-
-
 def place_by_shape(
-    views: Sequence[SurfaceView], /, *, step: Step = lambda *_: None
+    views: Sequence[SurfaceView],
+    /,
+    *,
+    on_table: bool = False,
+    axis: TableAxis | None = None,
+    step: Step = lambda *_: None,
 ) -> tuple[RigidTransform, ...]:
     """Place views by the shape of the body alone.
 
-    Views recorded one after the other are likely to overlap most: they are tried first, then
-    others, until a tree of fits that leave no doubt holds all together.
+    Parameters
+    ----------
+    views : sequence of SurfaceView
+    on_table : bool; views of one tilt are turns about one axis
+    axis : TableAxis or None; where it is known
+    step : called with the work, what is done and what there is to do
 
     Returns
     -------
@@ -194,44 +165,54 @@ def place_by_shape(
 
     Raises
     ------
-    EmptyResultError
-        If a view fits no other; it names the view.
+    RegistrationError
+        If views cannot be joined without doubt; it names them.
+
+    Notes
+    -----
+    Views recorded one after the other are likely to overlap most: they are matched first. Fits
+    join them to blocks that no view contradicts. What features do not join is tried in all turns
+    about the table's axis, on which the turns of the others agree; tilts are joined by the shape
+    of all their views together.
     """
-    n = len(views)
-    links = Links({})
-    order = sorted(itertools.combinations(range(n), 2), key=lambda p: _away(p, n))
-    for number, (a, b) in enumerate(order):
-        step("matching views", number, len(order))
-        if _away((a, b), n) > 1 and len(_tree(n, links, sure=True)) == n:
-            break
-        fit = match_pair(views[a], views[b])
-        if fit is not None and is_possible(fit):
-            links.fits[a, b] = fit
-    poses = _tree(n, links, sure=False)
-    lost = [views[k].name for k in range(n) if k not in poses]
-    if lost:
-        raise EmptyResultError(
-            f"merge: expected views that overlap, found none that fits {', '.join(lost)}. Turn the "
-            "body by less between scans, tell the angles, or leave these out"
+    blocks = blocks_of(views, [{k: RigidTransform.identity()} for k in range(len(views))])
+    groups = groups_of(views) if on_table else [list(range(len(views)))]
+    links = links_of(views, [pair for group in groups for pair in _next_pairs(group)], step)
+    blocks.join_by(links)
+    if on_table:
+        for number, group in enumerate(groups):
+            step("trying turns of the table", number, len(groups))
+            joined_by_turns(blocks, group, axis)
+    blocks.join_by_clouds(step)
+    if len(blocks.blocks) > 1:
+        links += links_of(views, _open_pairs(blocks), step)
+        blocks.join_by(links)
+        blocks.join_by_clouds(step)
+    if len(blocks.blocks) > 1:
+        told = "; ".join(", ".join(views[k].name for k in sorted(b)) for b in blocks.blocks)
+        raise RegistrationError(
+            "merge: expected views that the shape of the body joins without doubt, found "
+            f"{len(blocks.blocks)} groups that nothing joins, or several places equally well: "
+            f"{told}. Tell the angles of the table, if only roughly (--turns, --angles rough); "
+            "turn the body by less between scans; put something beside it that does not repeat "
+            "itself; or leave some out"
         )
-    return tuple(poses[k] for k in range(n))
+    return _in_first(blocks)
 
 
-def _away(pair: tuple[int, int], n: int) -> int:
-    """Return how far two views lie from each other in the order of recording, around the table."""
-    apart = pair[1] - pair[0]
-    return min(apart, n - apart)
+def _next_pairs(group: Sequence[int]) -> list[tuple[int, int]]:
+    """Return the views recorded one after the other, and the last with the first."""
+    pairs = list(itertools.pairwise(group))
+    return [*pairs, (group[0], group[-1])] if len(group) > 2 else pairs
 
 
-def _tree(n: int, links: Links, *, sure: bool) -> dict[int, RigidTransform]:
-    """Return ``body_from_view`` of all views that the best fits join to the first."""
-    poses = {0: RigidTransform.identity()}
-    fits = {p: f for p, f in links.fits.items() if not sure or is_sure(f)}
-    while len(poses) < n:
-        open_ = [(f.quality, p) for p, f in fits.items() if (p[0] in poses) != (p[1] in poses)]
-        if not open_:
-            break
-        a, b = max(open_)[1]
-        a, b = (a, b) if a in poses else (b, a)
-        poses[b] = poses[a] @ links.motion(a, b)
-    return poses
+MOST_PAIRS = 40
+"""Of views of different blocks that are matched where neighbours in the recording do not do."""
+
+
+def _open_pairs(blocks: Blocks) -> list[tuple[int, int]]:
+    """Return pairs of views of different blocks, those recorded soon after each other first."""
+    n = len(blocks.views)
+    block_of = {k: number for number, block in enumerate(blocks.blocks) for k in block}
+    pairs = [p for p in itertools.combinations(range(n), 2) if block_of[p[0]] != block_of[p[1]]]
+    return sorted(pairs, key=lambda p: min(p[1] - p[0], n - p[1] + p[0]))[:MOST_PAIRS]

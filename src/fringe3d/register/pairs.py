@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from fringe3d.errors import MethodError
 from fringe3d.model import RigidTransform, SurfaceView
 from fringe3d.register.overlap import Sample, land_sample, sample_of
-from fringe3d.register.small_motion import nearest_rotation
+from fringe3d.register.small_motion import nearest_rotation, vector_of
 
 Floats = NDArray[np.float64]
 
@@ -104,6 +104,35 @@ def match_pair(first: SurfaceView, second: SurfaceView, /) -> PairFit | None:
     return best
 
 
+def hypotheses_of(first: SurfaceView, second: SurfaceView, /) -> list[PairFit]:
+    """Return all fits of two views that may be right, each once: those of three sizes of features.
+
+    Raises
+    ------
+    MethodError
+        If a library is missing.
+    """
+    clouds = [view.points_mm[view.is_valid] for view in (first, second)]
+    middle = clouds[1].mean(axis=0)
+    found: list[PairFit] = []
+    for rough in _by_features(*clouds):
+        fit = judge_pair(first, second, refine_pair(first, second, rough))
+        near = NEAR * first.spacing_mm
+        if is_possible(fit) and not any(_alike(fit, other, middle, near) for other in found):
+            found.append(fit)
+        if is_sure(fit):
+            break
+    return found
+
+
+def _alike(one: PairFit, two: PairFit, middle_mm: Floats, near_mm: float) -> bool:
+    vector = vector_of(one.first_from_second.inverse() @ two.first_from_second, middle_mm)
+    return bool(np.linalg.norm(vector[3:]) < near_mm and np.linalg.norm(vector[:3]) < SAME_TURN)
+
+
+SAME_TURN = 0.05
+"""rad; fits that differ by less are one."""
+
 SURE_OVERLAP, SURE_CONTRADICTION = 0.4, 0.1
 LEAST_OVERLAP_PART, MOST_CONTRADICTION = 0.15, 0.25
 
@@ -149,6 +178,13 @@ def place_clouds(target: Floats, source: Floats, /) -> RigidTransform | None:
         if best is None or fits > best[0]:
             best = fits, fine
     return best[1] if best else None
+
+
+def hypotheses_of_clouds(target: Floats, source: Floats, /) -> Iterator[RigidTransform]:
+    """Yield where a cloud may lie in the frame of another, refined by generalised ICP."""
+    extent = float(np.linalg.norm(np.ptp(target, axis=0)))
+    for rough in _by_features(target, source):
+        yield _generalised(target, source, rough, voxel=extent / 200, reach=extent / 50)[0]
 
 
 @contextmanager

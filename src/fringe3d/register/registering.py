@@ -11,6 +11,7 @@ from fringe3d.errors import EmptyResultError, MethodError
 from fringe3d.model import Registration, RigidTransform, SurfaceView, TableAxis
 from fringe3d.register.adjust import N_SAMPLES, AdjustOptions, adjust
 from fringe3d.register.coarse import place_by_angles, place_by_shape
+from fringe3d.register.doubting import refuse_conflicts
 from fringe3d.register.table_model import TablePrior
 
 Angles = Literal["auto", "known", "rough", "unknown", "free"]
@@ -29,12 +30,14 @@ class RegisterOptions:
     prior : TablePrior; how good the table is
     axis : TableAxis or None; where it is known, as from a calibration object
     n_samples : int; points of each view that the adjustment rests on
+    despite_conflicts : bool; also where views that shape alone placed contradict each other
     """
 
     angles: Angles = "auto"
     prior: TablePrior = field(default_factory=TablePrior)
     axis: TableAxis | None = None
     n_samples: int = N_SAMPLES
+    despite_conflicts: bool = False
 
 
 def register(
@@ -65,12 +68,16 @@ def register(
         missing.
     EmptyResultError
         If views do not overlap.
+    RegistrationError
+        If the shape of the body does not place views without doubt, or views that it placed
+        contradict each other.
 
     Notes
     -----
-    Coarse: a few neighbours are matched by features and generalised ICP; with known angles they
-    tell the axis, and the angles place all others; else a tree of the best fits does. Fine: all
-    overlaps at once, weighted by the covariances of the points; see `adjust`.
+    Coarse: neighbours are matched by features and generalised ICP; with known angles they tell the
+    axis, and the angles place all others; else those fits do that no view contradicts; see
+    `place_by_shape`. Fine: all overlaps at once, weighted by the covariances of the points; see
+    `adjust`.
     """
     options = options or RegisterOptions()
     if len(views) < 2:
@@ -81,8 +88,9 @@ def register(
     if poses is None and kind in ("known", "rough"):
         poses = place_by_angles(views, angle_sigma=prior.angle_sigma if prior else 0.0,
                                 axis=options.axis, step=step)  # fmt: skip
+    by_shape = poses is None
     if poses is None:
-        poses = place_by_shape(views, step=step)
+        poses = place_by_shape(views, on_table=kind != "free", axis=options.axis, step=step)
     spacing = max(view.spacing_mm for view in views)
     wanted = AdjustOptions(n_samples=options.n_samples, reach_mm=REACH_OF_SPACING * spacing,
                            table=prior)  # fmt: skip
@@ -92,6 +100,8 @@ def register(
             "merge: expected views that overlap, found none that do. Check that all scans show one "
             "body, and the angles of the table"
         )
+    if by_shape and not options.despite_conflicts:
+        refuse_conflicts(views, found)
     return found
 
 
