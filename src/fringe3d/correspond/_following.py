@@ -13,7 +13,8 @@ from fringe3d.model import NO_ORDER
 NONE = np.int32(NO_ORDER)
 
 LEAST_AROUND = 3
-"""Neighbours of four that close a hole: the border of what is known does not grow by them."""
+"""Neighbours of four that close a hole, or two that face each other: the border of what is known
+does not grow by them."""
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -72,7 +73,7 @@ def _demanded(order, phase, rise, other_phase):  # type: ignore[no-untyped-def]
 @njit(cache=True, nogil=True, error_model="numpy")
 def by_neighbours(phase, rises, smooth, order, kept, rows):  # type: ignore[no-untyped-def]
     """Write the orders, (row, col), but those that as many smooth neighbours contradict as confirm;
-    and that of three of four neighbours where there is none.
+    and that of its neighbours where there is none, see `LEAST_AROUND`.
 
     rises, smooth (2, row, col): see `grid.rises_of`; rows: first and last but one.
     """
@@ -82,9 +83,9 @@ def by_neighbours(phase, rises, smooth, order, kept, rows):  # type: ignore[no-u
             kept[row, col] = own = order[row, col]
             if math.isnan(phase[row, col]):
                 continue
-            wanted, same, others = own, 0, 0
+            wanted, same, others, faces = own, 0, 0, False
             for axis in range(2):
-                down, right = 1 - axis, axis
+                down, right, before = 1 - axis, axis, same
                 for sign in (-1, 1):
                     y, x = row + sign * down, col + sign * right
                     if not (0 <= y < n_rows and 0 <= x < n_cols) or order[y, x] == NONE:
@@ -97,7 +98,8 @@ def by_neighbours(phase, rises, smooth, order, kept, rows):  # type: ignore[no-u
                     wanted = demanded if wanted == NONE else wanted
                     same += demanded == wanted
                     others += demanded != wanted
-            if own == NONE and same >= LEAST_AROUND and others == 0:
+                faces |= same == before + 2
+            if own == NONE and (same >= LEAST_AROUND or faces) and others == 0:
                 kept[row, col] = wanted
             elif own != NONE and others > 0 and others >= same:
                 kept[row, col] = NONE

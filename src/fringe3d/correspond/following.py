@@ -56,8 +56,8 @@ def seen_before(
     points_mm : (..., 3) float, mm
     device : Device
     """
-    points = points_mm.reshape(-1, 3)
-    depths = np.ascontiguousarray(device.device_from_world.apply(points)[:, 2])
+    points, pose = points_mm.reshape(-1, 3), device.device_from_world
+    depths = points @ pose.rotation[2] + pose.translation[2]
     before, nearest = np.empty((2, *device.shape))
     _following.enter(project(device, points), depths, turns.ravel(), nearest, before)
     return before

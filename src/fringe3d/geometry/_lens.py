@@ -158,13 +158,16 @@ def normalize_pixel(u, v, lens, safe):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def project_all(points, lens, pixels, rows):  # type: ignore[no-untyped-def]
-    """Project (n, 3) points of the device frame; NaN behind the device."""
+def project_all(points, pose, lens, pixels, rows):  # type: ignore[no-untyped-def]
+    """Project (n, 3) points of the world; NaN behind the device. pose (12,): its translation and
+    rotation, of the device from the world."""
+    x0, y0, z0, xx, xy, xz, yx, yy, yz, zx, zy, zz = pose
     for i in range(rows[0], rows[1]):
-        z = points[i, 2]
+        a, b, c = points[i, 0], points[i, 1], points[i, 2]
+        z = zx * a + zy * b + zz * c + z0
         if z > 0:
-            x, y = project_normalized(points[i, 0] / z, points[i, 1] / z, lens)
-            pixels[i, 0], pixels[i, 1] = x, y
+            x, y = xx * a + xy * b + xz * c + x0, yx * a + yy * b + yz * c + y0
+            pixels[i, 0], pixels[i, 1] = project_normalized(x / z, y / z, lens)
         else:
             pixels[i, 0], pixels[i, 1] = np.nan, np.nan
 

@@ -55,10 +55,11 @@ def project(device: Device, points_world: ArrayLike, /) -> NDArray[np.float64]:
     >>> project(camera, [1.0, 2.0, 100.0]).tolist()
     [109.5, 69.5]
     """
-    points = device.device_from_world.apply(points_world)
-    flat = np.ascontiguousarray(points.reshape(-1, 3))
+    points = np.asarray(points_world, np.float64)
+    flat, pose = readable(points.reshape(-1, 3)), device.device_from_world
     pixels = np.empty((len(flat), 2))
-    over_rows(_lens.project_all, len(flat), flat, lens_of(device), pixels, least=POINTS)
+    over_rows(_lens.project_all, len(flat), flat, (*pose.translation, *pose.rotation.ravel()),
+              lens_of(device), pixels, least=POINTS)  # fmt: skip
     return pixels.reshape(*points.shape[:-1], 2)
 
 
