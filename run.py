@@ -12,6 +12,8 @@ Needs Python 3.11 or newer and nothing else.
 import hashlib
 import subprocess
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent
@@ -20,6 +22,9 @@ SCRIPTS = ENVIRONMENT / ("Scripts" if sys.platform == "win32" else "bin")
 DOCS = ("-m", "sphinx", "-q", "-W", "--keep-going", "-b", "html", "docs", "docs/_build")
 COMPILING = ("examples/05_fewer_images.py",)
 """Its machine code is kept: the processes that pass the tests need not all make it."""
+INSTALL = ("-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--no-compile",
+           "--constraint", "constraints.txt")  # fmt: skip
+"""Python compiles what is imported; compiling all takes as long as the rest of the installation."""
 PYTHON = SCRIPTS / ("python.exe" if sys.platform == "win32" else "python")
 
 
@@ -30,8 +35,9 @@ def main(arguments: list[str]) -> int:
         return 2
     match arguments:
         case ["demo"]:
-            set_up(extras="[simulate,view]")
-            return call("-m", "fringe3d", "demo", "--out", "demo", "--overwrite")
+            set_up(extras="[simulate]")
+            with added(extra="view"):  # meanwhile: the demo does not need it
+                return call("-m", "fringe3d", "demo", "--out", "demo", "--overwrite")
         case ["test", *options]:
             set_up(extras="[dev]")
             checks = (
@@ -58,9 +64,7 @@ def main(arguments: list[str]) -> int:
 
 def set_up(*, extras: str) -> None:
     """Create the environment and install the project, unless that was done before."""
-    wanted = hashlib.sha256(
-        (ROOT / "pyproject.toml").read_bytes() + (ROOT / "constraints.txt").read_bytes()
-    ).hexdigest()
+    wanted = wanted_now()
     stamp = ENVIRONMENT / "installed"
     done = stamp.read_text().split() if stamp.exists() else []
     if f"{wanted}{extras}" in done and PYTHON.exists():
@@ -72,12 +76,42 @@ def set_up(*, extras: str) -> None:
         except subprocess.CalledProcessError:
             sys.exit("run.py: cannot create a virtual environment; on Debian or Ubuntu install "
                      "the package python3-venv first")  # fmt: skip
-    install = ["-m", "pip", "install", "--quiet", "--disable-pip-version-check",
-               "--constraint", "constraints.txt", "--editable", f".{extras}"]  # fmt: skip
+    install = (*INSTALL, "--editable", f".{extras}")
     if call(*install):
         sys.exit("run.py: the installation failed (see above)")
-    kept = [entry for entry in done if entry.startswith(wanted)]
-    stamp.write_text("\n".join({*kept, wanted, f"{wanted}{extras}"}))
+    note(f"{wanted}{extras}")
+
+
+@contextmanager
+def added(*, extra: str) -> Iterator[None]:
+    """Install what an extra needs while something else goes on, unless that was done before."""
+    entry = f"{wanted_now()}[{extra}]"
+    if entry in (ENVIRONMENT / "installed").read_text().split():
+        yield
+        return
+    import tomllib  # not known to the older Pythons that `main` refuses
+
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    needed = project["optional-dependencies"][extra]
+    with subprocess.Popen([str(PYTHON), *INSTALL, *needed], cwd=ROOT) as installing:
+        yield
+    if installing.returncode:
+        sys.exit("run.py: the installation failed (see above)")
+    note(entry)
+
+
+def wanted_now() -> str:
+    """Return a name of what is to be installed."""
+    wanted = (ROOT / "pyproject.toml").read_bytes() + (ROOT / "constraints.txt").read_bytes()
+    return hashlib.sha256(wanted).hexdigest()
+
+
+def note(entry: str) -> None:
+    """Note that something of what is wanted now is installed."""
+    stamp, wanted = ENVIRONMENT / "installed", wanted_now()
+    done = stamp.read_text().split() if stamp.exists() else []
+    kept = [old for old in done if old.startswith(wanted)]
+    stamp.write_text("\n".join({*kept, wanted, entry}))
 
 
 def call(*arguments: str) -> int:

@@ -7,8 +7,11 @@ Each page has a folder of its own.
 
 What a command names and no earlier command of the page has left (`SCAN`, `result`, `rig.toml`, ...)
 is made first, as small as it may be: see `MAKERS`. What the docs call FOLDER are the recordings by
-others, from FRINGE3D_DATA. Commands with "..." are no whole commands, nor are bare names of them.
-Prints a line for each; the exit code is the number of commands that failed.
+others, from FRINGE3D_DATA. Cameras and projector at 127.0.0.1 are those of `fringe3d lab`, started
+for the time of the command; other addresses need hardware. Commands with "..." are no whole ones,
+nor are those that lack what they need: the text mentions them.
+Prints a line for each, "-" with the reason for what was not carried out; the exit code is the
+number of commands that failed.
 """
 
 from __future__ import annotations
@@ -25,16 +28,24 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
+from cyclopts import MissingArgumentError
+
 from fringe3d.cli import main as fringe3d
+from fringe3d.cli.app import app
 
 ROOT = Path(__file__).parent.parent
 sys.path.insert(0, str(ROOT / "tests"))
 
 from test_docs import PAGES, commands  # noqa: E402
 
+SIZE = "--camera-size 320x256"
 SMALL = "--camera-size 320x256 --rays 1 --period 32"
 SCENE = f"simulate kolibri {SMALL} --plan m0 --steps 8"
 BOARDS = "simulate kolibri --camera-size 640x512 --rays 1 --period 32 --positions 8"
+TURNS = f"simulate kolibri {SIZE} --object machine-part --plan m2 --positions 6"
+OWN = f"simulate kolibri {SIZE} --rays 1 --plan m1 --steps 4"
+"""What docs/howto-own-images.md takes as recorded by another program."""
+
 MAKERS = {
     "SCAN": f"{SCENE} --out SCAN",
     "scan": f"{SCENE} --out scan",
@@ -52,7 +63,11 @@ MAKERS = {
     "r4": "measure flat-plate --out r4",
     "IMAGES": f"{SCENE} --out IMAGES",
     "demo/result": "demo",
-    "my-images": f"{SCENE} --out my-images",
+    "my-images": "",
+    "poses": f"{BOARDS} --object chessboard:9x7:6mm --out poses",
+    "SCANS": f"{TURNS} --out SCANS",
+    "scans": f"{TURNS} --out scans",
+    "r0": "measure ball-1 --out r0",
     "BOARD-IMAGES": f"{BOARDS} --object chessboard:9x6:10mm --out BOARD-IMAGES",
     "result": "measure SCAN --out result",
     "RESULT": "measure SCAN --out RESULT",
@@ -70,20 +85,30 @@ MAKERS = {
     "cameras.toml": "",
     "moved.toml": "",
     "stereo.yml": "export rig.toml --out stereo.yml",
+    "kolibri.toml": "",
+    "plan.toml": "patterns --size 1024x768 --period 16 --steps 4 --gray-bits 3 --out plan",
     "LARGE": "",
     "part.stl": "",
 }
 """What makes a thing that commands name; nothing where `made` does it."""
 
-ENDLESS = ("view",)
+ENDLESS = ("view", "lab")
 ENDLESS_S = 60.0
 """So long a view may take to end."""
 
 DESCRIBED = "kept-scan.toml"
 """The description of images that a command is to describe."""
 
-DATA = {"captures": "", "howto-calibrate": "procam-board"}
-"""Folders of FRINGE3D_DATA that the pages call FOLDER."""
+DATA = {
+    "slmaster-relief": "",
+    "slmaster-bust-rendered": "slmaster-bust-rendered",
+    "procam-board": "procam-board",
+    "chessboard:9x7": "procam-board",
+}
+"""Folders of FRINGE3D_DATA that the pages call FOLDER, by a word of the command."""
+
+LONG = {"README": ("evaluate", "paper")}
+"""Commands that another page carries out, and that take minutes."""
 
 
 def main() -> int:
@@ -107,11 +132,11 @@ def run_page(page: Path, made: Path) -> int:
     failed = 0
     for command, is_whole in commands(page):
         words = shlex.split(command, comments=True)[1:]
-        is_complete = is_whole or len(words) > 2 or (len(words) == 2 and words[0] in ENDLESS)
-        if "..." in command or not is_complete:
-            continue
         begin = time.perf_counter()
         try:
+            require_whole(command, words, is_whole=is_whole)
+            if tuple(words[:2]) == LONG.get(page.stem):
+                raise MissingError("long; docs/paper.md carries it out")
             prepare(words, page, made)
             code, said = carried_out(words)
         except MissingError as problem:
@@ -128,6 +153,18 @@ def run_page(page: Path, made: Path) -> int:
     return failed
 
 
+def require_whole(command: str, words: list[str], *, is_whole: bool) -> None:
+    """Refuse what is only mentioned."""
+    if "..." in command:
+        raise MissingError("no whole command")
+    if not is_whole and len(words) == 1 and words[0] not in ("devices", "demo"):
+        raise MissingError("a name")
+    try:
+        app.parse_args(words, exit_on_error=False, print_error=False)
+    except MissingArgumentError:
+        raise MissingError("a mention, without what it needs") from None
+
+
 class MissingError(Exception):
     """Something that is not here and cannot be made."""
 
@@ -140,34 +177,60 @@ def prepare(words: list[str], page: Path, made: Path) -> None:
             shutil.rmtree(out)
         else:
             Path(out).unlink(missing_ok=True)
-    if words[0] == "report":
-        for written in Path(words[1]).glob("report.*"):
-            written.unlink()
     for word in words[1:]:
-        if word == "FOLDER" and not Path(word).exists():
-            data = os.environ.get("FRINGE3D_DATA")
-            if data is None or page.stem not in DATA:
-                raise MissingError("needs FRINGE3D_DATA")
-            Path(word).symlink_to(Path(data) / DATA[page.stem])
-        elif word in MAKERS and word not in outs and not Path(word).exists():
-            make(word, page, made)
+        name = word.split("=")[-1]  # of NAME=FILE
+        if name == "FOLDER":
+            recorded_by_others(" ".join(words))
+        elif name in MAKERS and name not in outs and not Path(name).exists():
+            make(name, page, made)
+        if words[0] != "import" and (Path(name) / DESCRIBED).exists():
+            described(Path(name))
+    if words[0] == "live" and "--video" in words:
+        videos()
+    if words[0] == "report":
+        for written in [*Path(words[1]).glob("report.*"), *Path().glob("*-report.*")]:
+            written.unlink()
+
+
+def recorded_by_others(command: str) -> None:
+    """Let FOLDER be the recording that a command is about."""
+    data = os.environ.get("FRINGE3D_DATA")
+    found = [folder for word, folder in DATA.items() if word in command]
+    if data is None or not found:
+        raise MissingError("needs FRINGE3D_DATA" if data is None else "whose FOLDER?")
+    Path("FOLDER").unlink(missing_ok=True)
+    Path("FOLDER").symlink_to(Path(data) / found[0])
+
+
+def videos() -> None:
+    """Make left.avi and right.avi of what the plan shows, as two cameras record it."""
+    import cv2
+
+    run(shlex.split(f"simulate kolibri {SIZE} --rays 1 --plan plan.toml --out filmed"))
+    for camera, name in (("c1", "left.avi"), ("c2", "right.avi")):
+        film = cv2.VideoWriter(name, cv2.VideoWriter_fourcc(*"FFV1"), 30, (320, 256), False)
+        for image in sorted(Path("filmed", camera).glob("*.png")):
+            film.write(cv2.imread(str(image), cv2.IMREAD_GRAYSCALE))
+        film.release()
+    shutil.copy("filmed/rig.toml", "rig.toml")
 
 
 def make(word: str, page: Path, made: Path) -> None:
     """Make a thing; scans are made once for all pages."""
     words = shlex.split(MAKERS[word])
     kept = made / word
+    if word == "my-images":
+        own_images(Path(word))
+        return
     if not kept.exists():
         if words:
             prepare(words, page, made)
-            code, said = carried_out(words)
-            if code:
-                raise MissingError(f"'{' '.join(words)}' failed: {said.strip()[-200:]}")
+            run(words)
         else:
             prepare(["", "SCAN"], page, made)
         for source in special(word):
             shutil.copy(source, word)
-        if word in ("IMAGES", "my-images"):
+        if word == "IMAGES":
             (Path(word) / "scan.toml").rename(Path(word) / DESCRIBED)
         if words[:1] != ["simulate"]:
             return
@@ -176,12 +239,33 @@ def make(word: str, page: Path, made: Path) -> None:
     shutil.copytree(kept, word)
 
 
+def run(words: list[str]) -> None:
+    """Run a command that makes something."""
+    code, said = carried_out(words)
+    if code:
+        raise MissingError(f"'{' '.join(words)}' failed: {said.strip()[-200:]}")
+
+
+def own_images(folder: Path) -> None:
+    """Make a recording as another program would leave it, and the file of its calibration."""
+    run([*shlex.split(OWN), "--out", "own"])
+    for camera, side in (("c1", "left"), ("c2", "right")):
+        (folder / side).mkdir(parents=True)
+        for number in range(1, 12):
+            shutil.copy(
+                f"own/{camera}/{number - 1:03d}.png", folder / side / f"shot{number:02d}.png"
+            )
+    run(["export", "own/rig.toml", "--out", "stereo.yml"])
+
+
 def special(word: str) -> Iterator[str]:
     """Yield the file that stands for a thing that no command of its own makes."""
-    if word in ("rig.toml", "cameras.toml", "moved.toml"):
+    if word in ("rig.toml", "cameras.toml", "moved.toml", "kolibri.toml"):
         yield "SCAN/rig.toml"
     if word.lower() == "other.ply":
         yield "other-result/cloud.ply"
+    if word == "plan.toml":
+        yield "plan/plan.toml"
     if word == "part.stl":
         import trimesh
 
@@ -191,13 +275,22 @@ def special(word: str) -> Iterator[str]:
 
 def carried_out(words: list[str]) -> tuple[int, str]:
     """Run a command here, endless ones and those that ask apart; return exit code and output."""
-    if words[0] == "view" and "--html" not in words:
-        return until_it_tells(words)
-    if any("gige:" in word or "window:" in word for word in words):
+    told = " ".join(words)
+    if "window:" in told or "gige:192" in told:
         raise MissingError("needs cameras and a projector")
+    if "gige:127.0.0.1" in told:
+        return with_lab(words)
+    if (words[0] == "view" and "--html" not in words) or words[0] == "lab":
+        return until_it_tells(words)
+    if words[0] == "live" and "--video" in words:
+        return until_it_tells(words)
     if words[0] == "import" and "--camera" not in words:
-        described(Path(words[1]))
         raise MissingError("asks the user; tests/test_import.py answers")
+    return here(words)
+
+
+def here(words: list[str]) -> tuple[int, str]:
+    """Run a command in this process."""
     said = io.StringIO()
     with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
         try:
@@ -207,13 +300,25 @@ def carried_out(words: list[str]) -> tuple[int, str]:
     return 0, said.getvalue()
 
 
+def with_lab(words: list[str]) -> tuple[int, str]:
+    """Run a command before the cameras and the projector of a simulated lab."""
+    lab = [sys.executable, "-m", "fringe3d", "lab", "kolibri", "--object", "teeth"]
+    with subprocess.Popen([*lab, *SIZE.split()], stdout=subprocess.PIPE, text=True) as running:
+        try:
+            assert running.stdout is not None
+            running.stdout.readline()
+            return here(words)
+        finally:
+            running.terminate()
+
+
 def described(images: Path) -> None:
     """Leave what the user's answers would have left."""
     shutil.copy(images / DESCRIBED, images / "scan.toml")
 
 
 def until_it_tells(words: list[str]) -> tuple[int, str]:
-    """Run a view until it says its address, and end it."""
+    """Run what does not end until it says that it is there, and end it."""
     command = [sys.executable, "-m", "fringe3d", *words]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as running:
         assert running.stdout is not None

@@ -138,7 +138,10 @@ def parse_factors(text: str | None, /) -> tuple[float, ...]:
 
 @app.command
 def devices(*, as_json: Json = False) -> None:
-    """List the cameras and outputs that are connected, with their addresses for fringe3d record."""
+    """List the cameras and outputs that are connected, with their addresses for fringe3d record.
+
+    Examples: fringe3d devices; fringe3d devices --json
+    """
     from fringe3d.devices.discovery import find_devices
 
     found, missing = find_devices()

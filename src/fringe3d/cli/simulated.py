@@ -130,6 +130,7 @@ def demo(*, out: Path = Path("demo"), overwrite: Overwrite = False, as_json: Jso
     """Measure a simulated scan of a machine part, and compare it with the truth.
 
     Leaves the scan in OUT/scan and the result in OUT/result: look at overview.png.
+    Example: fringe3d demo --out demo, then fringe3d view demo/result
 
     Parameters
     ----------
