@@ -15,7 +15,16 @@ from fringe3d.correspond._phase import (
     phase_difference,
     wrap,
 )
-from fringe3d.correspond._search import NO_VIEW, NONE, SEVERAL, STEP_PX, refine, scan, segment
+from fringe3d.correspond._search import (
+    NO_VIEW,
+    NONE,
+    SEVERAL,
+    STEP_PX,
+    refine,
+    scan,
+    scratch,
+    segment,
+)
 from fringe3d.geometry._lens import project_normalized
 from fringe3d.model import Rejection
 
@@ -86,12 +95,13 @@ def _is_only_one(part, x, y, slope, ends, phi1, phase2):  # type: ignore[no-unty
 
 
 @njit(cache=True, error_model="numpy")
-def _found(t, line, bounds, phi1, lens2, phase2, none):  # type: ignore[no-untyped-def]
+def _found(t, line, bounds, phi1, lens2, second, none, work):  # type: ignore[no-untyped-def]
     """Return x, y, slope of the only crossing of a segment, NaN without one, and the state.
 
-    t: depth at which it is expected; line, bounds: see `segment`.
+    t: depth at which it is expected; line, bounds: see `segment`; second: phase of C2, spans.
     """
     near, far, z_t, z_far = bounds
+    phase2, spans = second
     x0, y0 = project_normalized(line[0], line[1], lens2)
     x1, y1 = project_normalized(line[2], line[3], lens2)
     ends = x0, y0, x1, y1
@@ -104,9 +114,9 @@ def _found(t, line, bounds, phi1, lens2, phase2, none):  # type: ignore[no-untyp
         return x, y, slope, 0
     n = max(2, int(length / STEP_PX) + 1)
     any_order, no_phase = none
-    second = np.float32(np.nan), np.float32(np.nan), no_phase
+    other = np.float32(np.nan), np.float32(np.nan), no_phase
     hits, where, rise = scan(
-        line, n, length / n, phi1, np.int32(0), lens2, phase2, any_order, second
+        line, n, length / n, phi1, np.int32(0), lens2, (phase2, spans, any_order), other, work
     )
     if hits != 1:
         return np.nan, np.nan, np.nan, NONE if hits == 0 else SEVERAL
@@ -125,14 +135,16 @@ def search_near(first, half, rays, intervals, projector, camera2, second, none, 
     rays (row, col, 3): directions in the world; intervals (row, col, 4): mm, where they enter and
     leave the volume, and the part of it that C2 sees; projector = (base (3,), rotation (3, 3),
     lens, axis (2,)), camera2 = (base, rotation, lens): base is the centre of C1 there; second =
-    (phase, sigma) of C2; none: two empty maps, of orders and of another direction; todo (row, col):
-    the pixels that are asked for. maps = (pixels (row, col, 2), sigma (row, col), px, written, NaN
-    where nothing is found, rejection, to which reasons are added); rows: first and last but one.
+    (phase, its spans, sigma) of C2; none: two empty maps, of orders and of another direction; todo
+    (row, col): the pixels that are asked for. maps = (pixels (row, col, 2), sigma (row, col), px,
+    written, NaN where nothing is found, rejection, to which reasons are added); rows: first and
+    last but one.
     """
     phase1, order1, sigma1, period = first
-    phase2, sigma2 = second
+    phase2, spans, sigma2 = second
     base2, rotation2, lens2 = camera2
     pixels, sigma_px, rejection = maps
+    work = scratch()
     for row in range(rows[0], rows[1]):
         for col in range(phase1.shape[1]):
             if not todo[row, col]:
@@ -158,7 +170,7 @@ def search_near(first, half, rays, intervals, projector, camera2, second, none, 
                 rejection[row, col] = OUTSIDE_VIEW
                 continue
             bounds = near, far, base2[2] + t * along[2], base2[2] + far * along[2]
-            x, y, slope, state = _found(t, line, bounds, phi1, lens2, phase2, none)
+            x, y, slope, state = _found(t, line, bounds, phi1, lens2, (phase2, spans), none, work)
             if state != 0:
                 rejection[row, col] = (
                     NO_MATCH if state == NONE else AMBIGUOUS if state == SEVERAL else OUTSIDE_VIEW

@@ -15,6 +15,9 @@ INTERPOLATION_WEIGHT = 4.0 / 9.0
 MAX_JUMP = 2.0
 """rad between neighbouring pixels; more is a depth edge or noise, not a surface."""
 
+SPAN_ROUNDING = 1e-5
+"""rad; more than single precision makes of a phase."""
+
 
 @njit(cache=True, error_model="numpy", inline="always")
 def wrap(angle):  # type: ignore[no-untyped-def]
@@ -56,6 +59,33 @@ def phase_difference(x, y, phase1, phase2):  # type: ignore[no-untyped-def]
     gx = (b - a) * (1 - fy) + (d - c) * fy
     gy = (c - a) * (1 - fx) + (d - b) * fx
     return wrap(origin + value - phase1), gx, gy
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def write_spans(phase2, spans, rows):  # type: ignore[no-untyped-def]
+    """Write the phases that C2 shows between four neighbours, as `phase_difference` tells them.
+
+    spans (row, col, 2): middle, rad, and half of the width, for the cell right below each pixel;
+    negative where no phase is told, infinite where one of the four is missing: what is continued
+    does not go on in the next cell. rows: first and last but one.
+    """
+    n_rows, n_cols = phase2.shape
+    for row in range(rows[0], rows[1]):
+        for col in range(n_cols):
+            spans[row, col, 0], spans[row, col, 1] = 0.0, -1.0
+            if row == n_rows - 1 or col == n_cols - 1:
+                continue
+            a, b = phase2[row, col], phase2[row, col + 1]
+            c, d = phase2[row + 1, col], phase2[row + 1, col + 1]
+            missing = math.isnan(a) + math.isnan(b) + math.isnan(c) + math.isnan(d)
+            if missing == 1:
+                spans[row, col, 1] = np.inf
+            elif missing == 0:
+                b, c, d = wrap(b - a), wrap(c - a), wrap(d - a)
+                low, high = min(0.0, b, c, d), max(0.0, b, c, d)
+                if high - low <= MAX_JUMP:
+                    spans[row, col, 0] = a + (low + high) / 2
+                    spans[row, col, 1] = (high - low) / 2 + SPAN_ROUNDING
 
 
 @njit(cache=True, error_model="numpy", inline="always")

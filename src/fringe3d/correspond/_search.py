@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numba import njit
 
-from fringe3d.correspond._phase import MAX_JUMP, TWO_PI, phase_difference
+from fringe3d.correspond._phase import MAX_JUMP, phase_difference, wrap
 from fringe3d.geometry._lens import project_normalized
 
 STEP_PX = 0.5
@@ -62,21 +62,6 @@ def _second_fits(x, y, second):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def _far_off(x, y, phi1, order1, phase2, order2):  # type: ignore[no-untyped-def]
-    """Tell from the nearest pixel alone that no crossing can be within one step."""
-    col, row = int(x + 0.5), int(y + 0.5)
-    if col < 0 or row < 0 or row >= phase2.shape[0] or col >= phase2.shape[1]:
-        return True
-    difference = abs(phase2[row, col] - phi1)
-    if math.isnan(difference):
-        return False  # a hole of one pixel may hide a crossing
-    # In the same period, or in the next of the same class:
-    if len(order2) == 0 or order2[row, col] == order1:
-        return min(difference, TWO_PI - difference) > MAX_JUMP
-    return TWO_PI - difference > MAX_JUMP  # the pixel lies in the neighbouring period
-
-
-@njit(cache=True, error_model="numpy")
 def segment(base, along, near, far):  # type: ignore[no-untyped-def]
     """Return the ends of the segment on the undistorted plane of C2, where it is straight.
 
@@ -100,35 +85,88 @@ def _point(s, line, lens2):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def scan(line, n, step_px, phi1, class1, lens2, phase2, order2, second):  # type: ignore[no-untyped-def]
+def _find_near(ends, phi1, spans, work):  # type: ignore[no-untyped-def]
+    """Mark the steps between two places, on a straight line, where C2 may show a phase.
+
+    work = (cells (LENS_STEPS,) int32, near (LENS_STEPS,) bool), written. Returns whether any may.
+    """
+    x0, y0, x1, y1 = ends
+    cells, near = work
+    n_rows, n_cols, _ = spans.shape
+    dx, dy = (x1 - x0) / LENS_STEPS, (y1 - y0) / LENS_STEPS
+    nowhere = np.int32(n_rows * n_cols - 1)
+    for i in range(LENS_STEPS):
+        x, y = x0 + i * dx, y0 + i * dy
+        inside = (x >= 0) & (x < n_cols - 1) & (y >= 0) & (y < n_rows - 1)
+        x, y = x if inside else 0.0, y if inside else 0.0
+        cell = np.int32(y) * np.int32(n_cols) + np.int32(x)
+        cells[i] = cell if inside else nowhere
+    flat, some = spans.reshape(-1, 2), False
+    for i in range(LENS_STEPS):
+        near[i] = abs(wrap(flat[cells[i], 0] - phi1)) <= flat[cells[i], 1]
+        some |= near[i]
+    return some
+
+
+@njit(cache=True, error_model="numpy")
+def _has_order(cell, class1, order2):  # type: ignore[no-untyped-def]
+    """Tell whether one of the four neighbours has a class of orders."""
+    if len(order2) == 0:
+        return True
+    row, col = divmod(cell, order2.shape[1])
+    same = (order2[row, col] == class1) | (order2[row, col + 1] == class1)
+    return same | (order2[row + 1, col] == class1) | (order2[row + 1, col + 1] == class1)
+
+
+@njit(cache=True, error_model="numpy")
+def scan(line, n, step_px, phi1, class1, lens2, maps, second, work):  # type: ignore[no-untyped-def]
     """Follow the segment in n steps; return crossings, and place and rise of the first.
 
-    phi1, class1: of C1; order2: empty where any order will do; second = (phase, rad, how far that
-    of C2 may differ, map of C2, empty for none) of another direction.
+    phi1, class1: of C1; maps = (phase, spans, order) of C2: only where the spans hold phi1, see
+    `_phase.write_spans`, the phase is looked at closely; order: empty where any will do; second =
+    (phase, rad, how far that of C2 may differ, map of C2, empty for none) of another direction;
+    work: see `_find_near`.
     """
-    hits, where, rise = 0, 0.0, 0.0
-    last_hit, r_before = -1e9, np.nan
-    x0, y0, x1, y1 = 0.0, 0.0, 0.0, 0.0
-    for k in range(n + 1):
-        if k % LENS_STEPS == 0:
-            x0, y0 = _point(k / n, line, lens2)
-            x1, y1 = _point((k + LENS_STEPS) / n, line, lens2)
-        part = (k % LENS_STEPS) / LENS_STEPS
-        x, y = x0 + part * (x1 - x0), y0 + part * (y1 - y0)
-        r = np.nan
-        if not _far_off(x, y, phi1, class1, phase2, order2):
-            r, _ = _difference(x, y, phi1, class1, phase2, order2)
-        if r_before * r <= 0 and abs(r - r_before) < MAX_JUMP and r != 0:
-            at = (k - 1 + r_before / (r_before - r)) / n
-            x, y = _point(at, line, lens2)
-            _, same = _difference(x, y, phi1, class1, phase2, order2)
-            if same and _second_fits(x, y, second):
-                if hits == 0 or (k - last_hit) * step_px > SAME_POINT_PX:
-                    hits += 1
-                    where, rise = at, r - r_before
-                last_hit = k
-        r_before = r
+    phase2, spans, order2 = maps
+    cells, near = work
+    hits, where, rise, last_hit = 0, 0.0, 0.0, -1e9
+    r_before, is_known, was_near = np.nan, False, False
+    x_before, y_before = np.nan, np.nan
+    x1, y1 = _point(0.0, line, lens2)
+    for first in range(0, n + 1, LENS_STEPS):
+        x0, y0 = x1, y1
+        x1, y1 = _point((first + LENS_STEPS) / n, line, lens2)
+        if not (_find_near((x0, y0, x1, y1), phi1, spans, work) or was_near):
+            part = (LENS_STEPS - 1) / LENS_STEPS
+            x_before, y_before, is_known = x0 + part * (x1 - x0), y0 + part * (y1 - y0), False
+            continue
+        for k in range(first, min(first + LENS_STEPS, n + 1)):
+            part = (k - first) / LENS_STEPS
+            x, y = x0 + part * (x1 - x0), y0 + part * (y1 - y0)
+            is_near = near[k - first] and _has_order(cells[k - first], class1, order2)
+            if is_near or was_near:
+                if not is_known:
+                    r_before, _, _ = phase_difference(x_before, y_before, phi1, phase2)
+                r, _, _ = phase_difference(x, y, phi1, phase2)
+                if r_before * r <= 0 and abs(r - r_before) < MAX_JUMP and r != 0:
+                    at = (k - 1 + r_before / (r_before - r)) / n
+                    x_hit, y_hit = _point(at, line, lens2)
+                    _, same = _difference(x_hit, y_hit, phi1, class1, phase2, order2)
+                    if same and _second_fits(x_hit, y_hit, second):
+                        if hits == 0 or (k - last_hit) * step_px > SAME_POINT_PX:
+                            hits += 1
+                            where, rise = at, r - r_before
+                        last_hit = k
+                r_before = r
+            is_known, was_near = is_near or was_near, is_near
+            x_before, y_before = x, y
     return hits, where, rise
+
+
+@njit(cache=True)
+def scratch():  # type: ignore[no-untyped-def]
+    """Return what `scan` needs to work."""
+    return np.empty(LENS_STEPS, np.int32), np.empty(LENS_STEPS, np.bool_)
 
 
 @njit(cache=True, error_model="numpy")
@@ -154,16 +192,17 @@ def refine(where, rise, line, n, phi1, lens2, phase2):  # type: ignore[no-untype
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def search(  # type: ignore[no-untyped-def]
-    phase1, order1, base, along, near, far, lens2, phase2, order2, second, found, state, rows
+    phase1, order1, base, along, near, far, lens2, maps, second, found, state, rows
 ):
     """Find the point with equal phase and order on each epipolar curve.
 
     phase1 (n,) rad, order1 (n,): pixels of C1; base (3,), along (n, 3): their rays in the frame
-    of C2, mm; near, far (n,): the segment, mm; phase2, order2 (row, col): maps of C2; second =
-    (phase1 (n,), limit (n,), phase2): another direction, rad, empty for none. Writes
+    of C2, mm; near, far (n,): the segment, mm; maps = (phase, spans, order) of C2, see `scan`;
+    second = (phase1 (n,), limit (n,), phase2): another direction, rad, empty for none. Writes
     found (n, 3): x, y, phase gradient along the curve (rad / px); state (n,): FOUND, NONE,
     SEVERAL or NO_VIEW. rows: first of the n and last but one.
     """
+    work = scratch()
     for i in range(rows[0], rows[1]):
         state[i] = NO_VIEW
         found[i, :] = np.nan
@@ -178,12 +217,12 @@ def search(  # type: ignore[no-untyped-def]
         if len(second[0]) > 0:
             seconds = (second[0][i], second[1][i], second[2])
         hits, where, rise = scan(
-            line, n, length / n, phase1[i], order1[i], lens2, phase2, order2, seconds
+            line, n, length / n, phase1[i], order1[i], lens2, maps, seconds, work
         )
         if hits != 1:
             state[i] = NONE if hits == 0 else SEVERAL
             continue
-        s, rise = refine(where, rise, line, n, phase1[i], lens2, phase2)
+        s, rise = refine(where, rise, line, n, phase1[i], lens2, maps[0])
         found[i, 0], found[i, 1] = _point(s, line, lens2)
         found[i, 2] = rise * n / length
         state[i] = FOUND

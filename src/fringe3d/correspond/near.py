@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from fringe3d.correspond import _near
 from fringe3d.correspond.direct import Located
+from fringe3d.correspond.stereo import spans_of
 from fringe3d.geometry import grid_intervals, grid_rays, pixel_centres
 from fringe3d.geometry.projection import lens_of
 from fringe3d.kernels import over_rows
@@ -76,7 +77,7 @@ def match_near_sheets(
         (to_projector.apply(origin), to_projector.rotation, lens_of(projector),
          np.array([np.cos(angle), np.sin(angle)])),
         (to_c2.apply(origin), to_c2.rotation, lens_of(camera2)),
-        (phases2.phase, phases2.phase_std),
+        (phases2.phase, spans_of(phases2.phase), phases2.phase_std),
         NO_OTHERS,
         todo,
         (pixels, sigma, rejection),

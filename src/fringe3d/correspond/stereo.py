@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from fringe3d.correspond import _search
+from fringe3d.correspond import _phase, _search
 from fringe3d.correspond.noise import variance_between
 from fringe3d.errors import MethodError
 from fringe3d.geometry import depth_interval, frustum, grid_rays, pixel_centres, project, rays
@@ -85,11 +85,12 @@ def match_cameras(
     to_c2 = camera2.device_from_world
     base, along = to_c2.apply(origin), np.ascontiguousarray(to_c2.rotate(directions))
     phase1, order1 = phases1.phase[valid], phases1.order_class[valid]
-    lens2, phase2, order2 = lens_of(camera2), phases2.phase, phases2.order_class
+    lens2 = lens_of(camera2)
+    maps = (phases2.phase, spans_of(phases2.phase), phases2.order_class)
     extra = _second_direction(second, valid)
     over_rows(
-        _search.search, len(near), phase1, order1, base, along, near, far, lens2, phase2, order2,
-        extra, found, state, least=POINTS,
+        _search.search, len(near), phase1, order1, base, along, near, far, lens2, maps, extra,
+        found, state, least=POINTS,
     )  # fmt: skip
     if volume is not None:
         enter, leave = depth_interval(origin, directions, volume)
@@ -106,12 +107,20 @@ def match_cameras(
                 there = np.empty(len(lost), np.int8)
                 over_rows(
                     _search.search, len(lost), phase1[lost], order1[lost], base, along[lost],
-                    near, far, lens2, phase2, order2,
+                    near, far, lens2, maps,
                     _second_direction(None, valid), found_there, there, least=POINTS,
                 )  # fmt: skip
                 state[lost[there == _search.FOUND]] = OUTSIDE_VOLUME
     pixels_c1 = pixel_centres(camera1.shape)[::step, ::step]
     return _correspondences(phases1, phases2, camera2.name, pixels_c1, valid, found, state)
+
+
+def spans_of(phase: NDArray[np.float32], /) -> NDArray[np.float32]:
+    """Return the phases between the neighbours of a map, (row, col, 2); see
+    `_phase.write_spans`."""
+    spans = np.empty((*phase.shape, 2), np.float32)
+    over_rows(_phase.write_spans, len(phase), phase, spans)
+    return spans
 
 
 def _second_direction(
