@@ -21,17 +21,26 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from fringe3d.cli import main as fringe3d
-from fringe3d.cli.measuring_views import Source, measure_views
+from fringe3d.cli.measuring_views import Measured, Source, measure_views
 from fringe3d.evaluate.deviations import deviations_from_mesh
 from fringe3d.io.recording import read_scan
-from fringe3d.model import RigidTransform, TableAxis
+from fringe3d.model import FoundTable, RigidTransform, SurfaceView, TableAxis
 from fringe3d.options import MeasureOptions
 from fringe3d.pipeline import measure
-from fringe3d.register import RegisterOptions, fuse, odd_views, register, surface_view, vector_of
+from fringe3d.register import (
+    RegisterOptions,
+    fuse,
+    odd_views,
+    register,
+    split_edges,
+    surface_view,
+    vector_of,
+    with_edges,
+)
 from fringe3d.register.table_model import near_point
 from fringe3d.simulate import OBJECTS, PRESETS, knocked
 
-OPTIONS = MeasureOptions(drop_edges=True)
+OPTIONS = MeasureOptions()
 CELL_MM = 1.0
 BAD = 5
 
@@ -65,11 +74,12 @@ def main() -> None:
         measured = measure_views(sources, OPTIONS, kept, jobs=told.jobs,
                                  finished=lambda *_: None)  # fmt: skip
         print(f"{len(paths)} scans measured in {time.perf_counter() - began:.0f} s")
-        judge(paths, measured.views, told.object)
+        judge(paths, measured, told.object)
 
 
-def judge(paths: list[Path], views: list, thing: str) -> None:  # type: ignore[type-arg]
+def judge(paths: list[Path], measured: Measured, thing: str) -> None:
     """Print axis, poses, surface and the view that had moved, against the truth."""
+    views = measured.views
     truths = [np.load(path / "truth.npz") for path in paths]
     world_from_object = [_transform(truth["world_from_object"]) for truth in truths]
     true = [world_from_object[0] @ pose.inverse() for pose in world_from_object]
@@ -77,33 +87,51 @@ def judge(paths: list[Path], views: list, thing: str) -> None:  # type: ignore[t
     if "table_direction" in truths[0]:
         axis = TableAxis(point_mm=truths[0]["table_point_mm"],
                          direction=truths[0]["table_direction"])  # fmt: skip
-    for angles in ("known", "unknown"):
+    for angles in ("known", "rough", "unknown", "free"):
         began = time.perf_counter()
-        found = register(views, RegisterOptions(angles=angles))  # type: ignore[arg-type]
+        told = _misread(views) if angles == "rough" else views
+        found = register(told, RegisterOptions(angles=angles))  # type: ignore[arg-type]
         seconds = time.perf_counter() - began
-        table = found.table
-        assert table is not None
-        off = near_point(axis, table.middle_mm) - table.middle_mm
-        lean = np.linalg.norm(np.cross(table.axis.direction, axis.direction))
         errors = np.array([vector_of(f @ t.inverse(), found.middle_mm)
                            for f, t in zip(found.body_from_view, true, strict=True)])  # fmt: skip
         rms = np.sqrt((errors[1:] ** 2).mean(axis=0))
         print(
-            f"angles {angles}: axis {1e3 * np.linalg.norm(off):.2f} um (sigma "
-            f"{1e3 * table.shift_sigma_mm:.2f}), {1e6 * lean:.1f} urad (sigma "
-            f"{1e6 * table.lean_sigma:.1f}); poses {1e3 * np.linalg.norm(rms[3:]):.1f} um, "
-            f"{1e6 * np.linalg.norm(rms[:3]):.0f} urad; closure {1e3 * found.closure_mm:.1f} um; "
-            f"{seconds:.0f} s"
+            f"angles {angles}: {_axis_words(found.table, axis)}"
+            f"poses {1e3 * np.linalg.norm(rms[3:]):.1f} um, "
+            f"{1e6 * np.linalg.norm(rms[:3]):.0f} urad, the worst "
+            f"{1e3 * np.linalg.norm(errors[:, 3:], axis=1).max():.1f} um; closure "
+            f"{1e3 * found.closure_mm:.1f} um; {seconds:.0f} s"
         )
     began = time.perf_counter()
     found = register(views, RegisterOptions(angles="known"))
     cloud = fuse(views, found.body_from_view, noise_factor=found.noise_factor)
+    if measured.edges is not None:
+        cloud = with_edges(cloud, views, found.body_from_view, measured.edges)
     print(f"fused in {time.perf_counter() - began:.0f} s: {len(cloud.points_mm):,} points; "
           f"{ {f.name: n for f, n in cloud.counts().items()} }")  # fmt: skip
     surface(cloud, views, truths, world_from_object, thing)
     bad_view(paths, views, true)
     memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
     print(f"peak memory {memory:.1f} GB")
+
+
+def _misread(views: list[SurfaceView]) -> list[SurfaceView]:
+    """Return the views with angles wrong by up to 2 degrees."""
+    wrong = np.radians(np.random.default_rng(1).uniform(-2, 2, len(views)))
+    return [replace(v, position=replace(v.position, angle=v.position.angle + e))  # type: ignore
+            for v, e in zip(views, wrong, strict=True)]  # fmt: skip
+
+
+def _axis_words(table: FoundTable | None, true: TableAxis) -> str:
+    """Say how far the axis lies from the true one."""
+    if table is None:
+        return ""
+    off = near_point(true, table.middle_mm) - table.middle_mm
+    lean = np.linalg.norm(np.cross(table.axis.direction, true.direction))
+    return (
+        f"axis {1e3 * np.linalg.norm(off):.2f} um (sigma {1e3 * table.shift_sigma_mm:.2f}), "
+        f"{1e6 * lean:.1f} urad (sigma {1e6 * table.lean_sigma:.1f}); "
+    )
 
 
 def _transform(matrix: np.ndarray) -> RigidTransform:
@@ -131,6 +159,12 @@ def surface(cloud, views, truths, poses, thing: str) -> None:  # type: ignore[no
         f"{_robust(single):.1f}, sigma {1e3 * np.nanstd(single):.1f}, 95 % below "
         f"{1e3 * np.nanpercentile(np.abs(single), 95):.1f}"
     )
+    # What noise leaves of a median, of the sigmas of the points and their number.
+    spreads = np.split(cloud.sigma_mm[order], np.cumsum(np.bincount(which))[:-1])
+    noise = np.array([1.2533e3 * np.sqrt(np.mean(part**2) / len(part))
+                      for part in spreads if len(part) >= 10])  # fmt: skip
+    print(f"noise of these medians: half within {0.6745 * np.median(noise):.1f}, 90 % within "
+          f"{1.645 * np.percentile(noise, 75):.1f} um")  # fmt: skip
     print(
         f"systematic part (medians of cells of {CELL_MM:g} mm), um: median "
         f"{1e3 * np.median(systematic):+.2f}, half of them within "
@@ -165,8 +199,9 @@ def bad_view(paths, views, true) -> None:  # type: ignore[no-untyped-def]
             print(f"view {views[BAD].name}, c2 turned by 0.05 deg: no points left")
             continue
         changed = list(views)
-        changed[BAD] = surface_view(views[BAD].name, views[BAD].camera, points.points_mm,
-                                    points.sigma_mm, position=views[BAD].position)  # fmt: skip
+        view = surface_view(views[BAD].name, views[BAD].camera, points.points_mm,
+                            points.sigma_mm, position=views[BAD].position)  # fmt: skip
+        changed[BAD] = split_edges(view)[0]
         odd = odd_views(register(changed, RegisterOptions(n_samples=1500), start=true))
         print(f"view {views[BAD].name}, c2 turned by 0.05 deg: named "
               f"{[(views[o.view].name, o.why) for o in odd]}")  # fmt: skip

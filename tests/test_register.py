@@ -7,6 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy import ndimage
+from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from ball_views import AXIS, BALLS, ball_views, camera, rays_of, seen_balls
@@ -27,8 +29,10 @@ from fringe3d.register import (
     mesh_of,
     motion_of,
     register,
+    split_edges,
     surface_view,
     vector_of,
+    with_edges,
 )
 
 TWELVE = tuple(range(0, 360, 30))
@@ -329,3 +333,56 @@ def test_a_mesh_of_a_ball_is_closed_and_keeps_its_volume(kind: str) -> None:
     np.testing.assert_allclose(mesh.sigma_mm[known], 0.004, rtol=1e-3)
     assert abs(int(np.median(mesh.grey)) - 90) <= 1
     assert ((mesh.normals * mesh.vertices_mm).sum(axis=1) > 0).mean() > 0.99
+
+
+# Edges
+
+
+def test_points_beside_edges_fill_what_no_view_saw_better() -> None:
+    """Balls in closed form: two pixels at each border count only where nothing else covers."""
+    views, true = ball_views((0, 40, 80), sigma_mm=0.005, seed=3)
+    parted = [split_edges(view) for view in views]
+    inner, edges = [view for view, _ in parted], [edge for _, edge in parted]
+    for view, part, edge in zip(views, inner, edges, strict=True):
+        # A pixel is inside where all of 5 x 5 have a point, and a step of ten pixels is an edge.
+        whole = ndimage.binary_erosion(view.is_valid, np.ones((3, 3), bool), border_value=1)
+        assert not (part.is_valid & ~whole).any()
+        told = np.zeros(view.camera.shape, int)
+        for places in (edge.pixels, edge.unsure, np.flatnonzero(part.is_valid)):
+            told.flat[places] += 1
+        np.testing.assert_array_equal(told, view.is_valid)  # each point in one of the three
+    cloud = fuse(inner, true)
+    more = with_edges(cloud, inner, true, edges)
+    n = len(cloud.points_mm)
+    np.testing.assert_array_equal(more.points_mm[:n], cloud.points_mm)
+    added = more.points_mm[n:]
+    assert len(added) > 100
+    assert sum(more.counts().values()) == sum(view.n_points for view in views)
+    off = np.abs(np.linalg.norm(added[:, None] - BALLS[:, :3], axis=-1) - BALLS[:, 3]).min(axis=1)
+    assert np.percentile(off, 99) < 0.05  # noise of 5 um along rays that meet the border flatly
+    # What was seen is covered: more of all points of the views than the inner ones alone cover.
+    seen = np.concatenate([pose.apply(view.points_mm[view.is_valid])
+                           for view, pose in zip(views, true, strict=True)])  # fmt: skip
+    reach = 2 * views[0].spacing_mm
+    before, after = (np.mean(np.asarray(cKDTree(c.points_mm).query(seen)[0]) < reach)
+                     for c in (cloud, more))  # fmt: skip
+    assert after > 0.985
+    assert after > before + 0.01
+
+
+def test_a_point_beside_an_edge_that_another_view_looked_through_is_dropped() -> None:
+    views, true = ball_views((0, 20, 40), sigma_mm=0.005, seed=3)
+    points = views[0].points_mm.copy()
+    center, radius = BALLS[2, :3], BALLS[2, 3]  # the largest ball, where it faces the camera
+    towards = views[0].camera.center_world - center
+    top = center + radius * towards / np.linalg.norm(towards)
+    col, row = np.round(project(views[0].camera, top[None])[0]).astype(int)
+    patch = (slice(row - 3, row + 3), slice(col - 3, col + 3))
+    points[patch] -= 8 * rays_of(views[0].camera)[patch]  # all of it lies beside its edge
+    bad = surface_view("bad", views[0].camera, points, views[0].sigma_mm)
+    parted = [split_edges(view) for view in (bad, *views[1:])]
+    inner, edges = [view for view, _ in parted], [edge for _, edge in parted]
+    cloud = with_edges(fuse(inner, true), inner, true, edges)
+    told = cloud.fates[0][patch]
+    assert (told == Fate.SEEN_THROUGH).mean() > 0.5
+    assert (told != Fate.KEPT).all()

@@ -8,9 +8,9 @@ import signal
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -18,6 +18,9 @@ from fringe3d.errors import Fringe3DError, MethodError
 from fringe3d.io.viewfile import camera_of, camera_table, read_view, view_key, write_view
 from fringe3d.model import SurfaceView, TablePosition
 from fringe3d.options import MeasureOptions
+
+if TYPE_CHECKING:
+    from fringe3d.register import EdgePoints
 
 THREADS = "NUMBA_NUM_THREADS"
 DIGITS_OF_KEY = 12
@@ -49,9 +52,13 @@ class Source:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Measured:
-    """What came of the sources: views in their order, what broke, and what the checks said."""
+    """What came of the sources: views in their order, what broke, and what the checks said.
+
+    `edges` are points beside edges, apart from the views; None where views hold them.
+    """
 
     views: list[SurfaceView]
+    edges: list[EdgePoints] | None
     about: list[dict[str, Any]]
     broken: dict[str, str]
     n_kept: int
@@ -65,6 +72,7 @@ def measure_views(
     *,
     jobs: int,
     finished: Callable[[str, int, int], object],
+    keep_edges: bool = False,
 ) -> Measured:
     """Measure what was not measured before; each view is written as soon as it is there.
 
@@ -75,7 +83,10 @@ def measure_views(
     folder : Path; where views are kept
     jobs : int; processes
     finished : called with a name, how many are done and how many there are
+    keep_edges : bool; leave points beside edges in the views, as if they were as good as others
     """
+    from fringe3d.register import split_edges
+
     files = [folder / f"{s.name}-{_key(s, options)}.npz" for s in sources]
     todo = [k for k, file in enumerate(files) if read_view(file) is None]
     n_kept, done = len(sources) - len(todo), len(sources) - len(todo)
@@ -86,13 +97,16 @@ def measure_views(
         if problem:
             broken[sources[todo[k]].name] = problem
         finished(sources[todo[k]].name, done, len(sources))
-    views, about = [], []
+    views, edges, about = [], [], []
     for source, file in zip(sources, files, strict=True):
         if source.name not in broken:
             view, told = _view(source, file)
+            if not keep_edges:
+                view, beside = split_edges(view)
+                edges.append(beside)
             views.append(view)
             about.append(told)
-    return Measured(views, about, broken, n_kept)
+    return Measured(views, None if keep_edges else edges, about, broken, n_kept)
 
 
 def _key(source: Source, options: MeasureOptions) -> str:
@@ -163,8 +177,6 @@ def _from_scan(source: Source, options: MeasureOptions) -> tuple[dict[str, Any],
     scan = read_scan(source.path, images=source.images, rig=source.rig)
     if scan.rig is None:
         raise MethodError(f"{source.path}: expected a rig, found none. Name one with --rig")
-    if not scan.stacks[0].plan.fringe_sets:  # points of Gray code alone have no neighbours
-        options = replace(options, drop_edges=False)
     result = measure(scan, options)
     assert result.points is not None
     camera = next(c for c in scan.rig.cameras if c.name == result.main.device_name)

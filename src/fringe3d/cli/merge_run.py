@@ -46,6 +46,7 @@ class MergeOptions:
     reference: Path | None
     jobs: int | None
     skip_broken: bool
+    keep_edges: bool
     despite_conflicts: bool
     overwrite: bool
     command: str
@@ -56,7 +57,7 @@ def run_merge(options: MergeOptions, reporter: Reporter, /) -> tuple[str, dict[s
     """Measure, register, fuse, mesh, write; return what to print and the record."""
     from fringe3d.io.meshes import read_triangles
     from fringe3d.io.tablefile import read_table_axis
-    from fringe3d.register import RegisterOptions, fuse, mesh_of, register
+    from fringe3d.register import RegisterOptions, fuse, mesh_of, register, with_edges
     from fringe3d.report.deviations import deviation_record
     from fringe3d.report.merging import merge_record, merge_text, mesh_record, odd_texts
 
@@ -72,6 +73,8 @@ def run_merge(options: MergeOptions, reporter: Reporter, /) -> tuple[str, dict[s
     found = register(measured.views, wanted, step=reporter.step)
     cloud = fuse(measured.views, found.body_from_view, noise_factor=found.noise_factor,
                  step=reporter.step)  # fmt: skip
+    if measured.edges is not None:
+        cloud = with_edges(cloud, measured.views, found.body_from_view, measured.edges)
     record = merge_record(measured.views, found, cloud)
     record |= {"title": f"{len(measured.views)} views merged", "command": options.command,
                "versions": {"fringe3d": __version__}, "broken": measured.broken,
@@ -155,7 +158,14 @@ def _measured(sources: Sequence[Source], options: MergeOptions, reporter: Report
             reporter.note(f"{done}/{total} {name}")
 
     jobs = options.jobs or _n_cores()
-    measured = measure_views(sources, options.measuring, folder, jobs=jobs, finished=finished)
+    measured = measure_views(
+        sources,
+        options.measuring,
+        folder,
+        jobs=jobs,
+        finished=finished,
+        keep_edges=options.keep_edges,
+    )
     if measured.broken and not options.skip_broken:
         told = "; ".join(f"{name}: {text}" for name, text in measured.broken.items())
         raise MethodError(

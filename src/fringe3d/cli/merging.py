@@ -73,8 +73,8 @@ def merge(
     filter_
         As for fringe3d measure.
     keep_edges
-        Keep points next to depth edges, where light of two surfaces mixes: other views mostly see
-        these places better.
+        Take points next to depth edges, where light of two surfaces mixes, for as good as others.
+        Without it they count only where no other view sees the place.
     mesh
         poisson: smooth, through the noise. edges: through the points, so that edges stay.
     holes
@@ -99,11 +99,11 @@ def merge(
     options = MergeOptions(
         scans=scans, out=out, angles=angles, turns_deg=parse_turns(turns), axis=axis, rig=rig,
         images=images, mesh=mesh, closed=holes == "closed", formats=parse_formats(formats),
-        reference=reference, jobs=jobs, skip_broken=skip_broken,
+        reference=reference, jobs=jobs, skip_broken=skip_broken, keep_edges=keep_edges,
         despite_conflicts=despite_conflicts, overwrite=overwrite,
         command=shlex.join(["fringe3d", *sys.argv[1:]]),
         measuring=MeasureOptions(method=method, depth_mm=parse_depth(depth) if depth else None,
-                                 filter=filter_, drop_edges=not keep_edges),
+                                 filter=filter_),
     )  # fmt: skip
     with Reporter(quiet=as_json).running() as reporter:
         text, record = run_merge(options, reporter)

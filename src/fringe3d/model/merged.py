@@ -21,6 +21,7 @@ class Fate(IntEnum):
     NO_NORMAL = 3
     OTHER_LAYER = 4
     SEEN_THROUGH = 5
+    EDGE = 6
 
 
 FATES = {
@@ -29,6 +30,8 @@ FATES = {
     Fate.NO_NORMAL: "dropped: too few neighbours to tell how the surface lies",
     Fate.OTHER_LAYER: "dropped: more weighty views saw the surface a little beside",
     Fate.SEEN_THROUGH: "dropped: other views looked through it, and none confirmed it",
+    Fate.EDGE: "dropped: beside an edge of what its view saw; another point stands for the place, "
+    "or it is too uncertain",
 }
 
 

@@ -3,6 +3,7 @@
 from fringe3d.register.adjust import AdjustOptions, adjust
 from fringe3d.register.axis import axis_of_motions, axis_of_points
 from fringe3d.register.coarse import place_by_angles, place_by_shape
+from fringe3d.register.edging import EdgePoints, split_edges, with_edges
 from fringe3d.register.fusing import fuse
 from fringe3d.register.holes import border_loops, closed_holes
 from fringe3d.register.judging import OddView, odd_views
@@ -16,6 +17,7 @@ from fringe3d.register.views import surface_view
 
 __all__ = [
     "AdjustOptions",
+    "EdgePoints",
     "Landed",
     "OddView",
     "PairFit",
@@ -40,6 +42,8 @@ __all__ = [
     "refine_pair",
     "register",
     "sample_of",
+    "split_edges",
     "surface_view",
     "vector_of",
+    "with_edges",
 ]

@@ -22,6 +22,9 @@ SMOOTH = 0.985
 """Least length of the mean of neighbouring normals: across sharper bends (20 deg between pixels)
 nothing is interpolated where views are registered."""
 
+ENOUGH = 4
+"""Times as many points are looked at as are wanted: most lie inside the surface."""
+
 LEAST_COSINE = 0.25
 """A surface seen flatter than 14 deg says little of a distance."""
 
@@ -67,7 +70,7 @@ class Landed:
 
 def all_points(view: SurfaceView, /) -> Sample:
     """Return all points of a view that have a normal."""
-    return _sample(view, np.isfinite(view.normals[..., 0]))
+    return sample_at(view, np.isfinite(view.normals[..., 0]))
 
 
 def sample_of(view: SurfaceView, n_points: int, /, *, seed: int = 0) -> Sample:
@@ -77,15 +80,16 @@ def sample_of(view: SurfaceView, n_points: int, /, *, seed: int = 0) -> Sample:
     """
     good = np.isfinite(view.normals[..., 0])
     good[[0, -1], :] = good[:, [0, -1]] = False
-    normals = np.where(good[..., None], view.normals, 0)
-    around = sum(np.roll(normals, step, axis=axis) for axis in (0, 1) for step in (-1, 1))
-    inner = good & (np.linalg.norm(around, axis=-1) > 4 * SMOOTH)  # all four, and no bend
-    places = np.flatnonzero(inner)
+    places = np.flatnonzero(good)
+    rng = np.random.default_rng(seed)
+    if len(places) > ENOUGH * n_points:  # what lies inside is asked of a few alone
+        places = rng.choice(places, ENOUGH * n_points, replace=False)
+    places = places[_is_inner(view.normals, places)]
     if len(places) > n_points:
-        places = np.sort(np.random.default_rng(seed).choice(places, n_points, replace=False))
+        places = rng.choice(places, n_points, replace=False)
     chosen = np.zeros(good.shape, bool)
     chosen.flat[places] = True
-    sample = _sample(view, chosen)
+    sample = sample_at(view, chosen)
     rays = sample.points_mm - view.camera.center_world
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
     steep = np.abs((rays * sample.normals).sum(axis=1)) > LEAST_COSINE
@@ -93,7 +97,16 @@ def sample_of(view: SurfaceView, n_points: int, /, *, seed: int = 0) -> Sample:
                   sigma_mm=sample.sigma_mm[steep])  # fmt: skip
 
 
-def _sample(view: SurfaceView, chosen: NDArray[np.bool_]) -> Sample:
+def _is_inner(normals: NDArray[np.float32], places: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Tell for pixels whether all four neighbours have a normal, and the surface does not bend."""
+    n_cols = normals.shape[1]
+    flat = normals.reshape(-1, 3)
+    around = sum(flat[places + step] for step in (1, -1, n_cols, -n_cols))
+    return np.asarray(np.linalg.norm(np.asarray(around), axis=-1) > 4 * SMOOTH)
+
+
+def sample_at(view: SurfaceView, chosen: NDArray[np.bool_], /) -> Sample:
+    """Return the points of a view at chosen pixels, (row, col) bool; all must have a normal."""
     points = view.points_mm[chosen]
     normals = view.normals[chosen].astype(np.float64)
     rays = points - view.camera.center_world

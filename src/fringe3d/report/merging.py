@@ -28,9 +28,9 @@ def merge_record(
     pairs = found.after
     names = [view.name for view in views]
     record: dict[str, Any] = {
-        "views": [_view_record(k, view, found) for k, view in enumerate(views)],
+        "views": [_view_record(k, view, found, cloud) for k, view in enumerate(views)],
         "points": len(cloud.points_mm),
-        "points_of_views": sum(view.n_points for view in views),
+        "points_of_views": sum(cloud.counts().values()),
         "fates": {fate.name.lower(): count for fate, count in cloud.counts().items()},
         "sigma_um": 1000 * float(np.median(cloud.sigma_mm)),
         "sigma_of_views_um": 1000 * float(np.median([np.nanmedian(v.sigma_mm) for v in views])),
@@ -61,11 +61,13 @@ def _median(values: Any) -> float:
     return float(np.median(known)) if known else math.nan
 
 
-def _view_record(k: int, view: SurfaceView, found: Registration) -> dict[str, Any]:
+def _view_record(
+    k: int, view: SurfaceView, found: Registration, cloud: MergedCloud
+) -> dict[str, Any]:
     pose = found.body_from_view[k]
     record: dict[str, Any] = {
         "name": view.name,
-        "points": view.n_points,
+        "points": int(np.count_nonzero(cloud.fates[k])),
         "rotation": pose.rotation.tolist(),
         "translation_mm": pose.translation.tolist(),
         "sigma_place_um": 1000 * found.sigma_mm(k),
