@@ -305,7 +305,6 @@ def test_plain_images_need_no_description(
 
 @pytest.mark.parametrize(("words", "message"), [
     (("--board", "chessboard:9x6:20mm"), "shows a chessboard of 8 x 6: correct --board"),
-    (("--board", "chessboard:7x6:20mm"), "shows a chessboard of 8 x 6: correct --board"),
     (("--board", "chessboard:8x6", "--leave-out", "pose-99"), "found pose-99"),
     (("--board", "chessboard:8x6", "--world", "pose-99"), "found 'pose-99'"),
     (("--board", "chessboard:8x6", "--keep-lenses"), "expected a former rig"),

@@ -168,6 +168,22 @@ def test_a_session_follows(recording: Recording, rig: Rig) -> None:
     )
 
 
+def test_no_points_get_lost_from_frame_to_frame(recording: Recording, rig: Rig) -> None:
+    """Without a code, along edges; a pixel wide each time, if orders of points alone went on."""
+    by_code = measure(Scan(stacks=recording[0].stacks, rig=rig))
+    stacks = [stack.subset(range(4)) for stack in recording[0].stacks]
+    session = Session(rig, stacks[0].plan, MeasureOptions(method="m6"), keep=False)
+    frame, counts = replace(by_code, method="m6"), []
+    for _ in range(6):
+        frame = session.follow(stacks, frame)
+        assert "frame before" in frame.why
+        assert frame.points is not None
+        counts.append(frame.points.n_points)
+    assert by_code.points is not None
+    assert counts[0] > 0.95 * by_code.points.n_points
+    assert counts[-1] > 0.998 * counts[0]
+
+
 def test_what_is_lost_is_measured_anew(recording: Recording, rig: Rig) -> None:
     plan = recording[0].stacks[0].plan
     session = Session(rig, plan, MeasureOptions(method="m2", gray_bits=3), keep=False)

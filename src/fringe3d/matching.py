@@ -122,9 +122,13 @@ def followed(
     other: Device,
     projector: Device | None,
     previous_mm: NDArray[np.float64] | None,
+    previous_phases: Sequence[CameraPhases],
     /,
 ) -> tuple[CameraPhases, ...]:
     """Give two cameras the fringe orders that go on from the points of the frame before.
+
+    Pixels without a point go on from its orders, where it was followed itself: they were of no use
+    then, and may be now. Without them each frame would lose a little more along the edges.
 
     Raises
     ------
@@ -137,8 +141,13 @@ def followed(
             "projector, which tells where they were lit. Measure this frame without it"
         )
     main = phases[0].directions[0].main
-    found, turns = [], lit_before(main, projector, previous_mm)
-    for own, before in zip(phases, (turns, seen_before(turns, previous_mm, other)), strict=False):
+    lit = lit_before(main, projector, previous_mm)
+    turns = [lit, seen_before(lit, previous_mm, other)]
+    for known, old in zip(turns, previous_phases, strict=False):
+        is_open, same = np.isnan(known), old.directions[0].main
+        known[is_open] = same.absolute_phase[is_open] / (2 * np.pi)
+    found = []
+    for own, before in zip(phases, turns, strict=False):
         first, *more = own.directions
         orders = orders_of_before(first.like(main), before)
         found.append(replace(own, directions=(replace(first, main=orders), *more)))

@@ -86,6 +86,7 @@ def measure(
     *,
     stage: Callable[[str], object] = str,
     previous_mm: NDArray[np.float64] | None = None,
+    previous_phases: Sequence[CameraPhases] = (),
 ) -> Measurement:
     """Measure: decode, find correspondences, triangulate, check.
 
@@ -96,6 +97,8 @@ def measure(
     stage : called with the name of each stage as it begins
     previous_mm : (row, col, 3) float or None, mm; points of the frame before in the pixels of C1,
         NaN where there are none; method M6 prefers what goes on from them
+    previous_phases : CameraPhases of each camera of the frame before, with their orders, where it
+        was followed, too
 
     Returns
     -------
@@ -140,7 +143,7 @@ def measure(
     rig, projector = _with_own_bias(scan.rig, camera, other), scan.rig.projector
     method = choice.method
     if options.follow:
-        phases, method = followed(phases, other, projector, previous_mm), "m1"
+        phases, method = followed(phases, other, projector, previous_mm, previous_phases), "m1"
         main = phases[0].directions[0].main
         result = replace(result, phases=phases, why="fringe orders go on from the frame before")
     with clock("finding correspondences"):

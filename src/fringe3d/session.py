@@ -134,6 +134,7 @@ class Session:
                 Scan(stacks=tuple(stacks), rig=self._rig_of_frames),
                 replace(self.options, follow=True),
                 previous_mm=before.points.points_mm,
+                previous_phases=before.phases if before.main.is_absolute else (),
             )
         except (CalibrationError, EmptyResultError):
             return self.measure(stacks)
