@@ -68,7 +68,7 @@ MAKERS = {
     "SCANS": f"{TURNS} --out SCANS",
     "scans": f"{TURNS} --out scans",
     "r0": "measure ball-1 --out r0",
-    "BOARD-IMAGES": f"{BOARDS} --object chessboard:9x6:10mm --out BOARD-IMAGES",
+    "BOARD-IMAGES": f"{BOARDS} --object chessboard:9x6:6mm --out BOARD-IMAGES",
     "result": "measure SCAN --out result",
     "RESULT": "measure SCAN --out RESULT",
     "full": "measure SCAN --out full",
@@ -187,6 +187,8 @@ def prepare(words: list[str], page: Path, made: Path) -> None:
             described(Path(name))
     if words[0] == "live" and "--video" in words:
         videos()
+    if words[0] == "demo":
+        shutil.rmtree("demo", ignore_errors=True)
     if words[0] == "report":
         for written in [*Path(words[1]).glob("report.*"), *Path().glob("*-report.*")]:
             written.unlink()

@@ -17,7 +17,7 @@ from browser import browser
 from fringe3d.io.stored import read_result
 from fringe3d.view.live import LiveView
 
-SIZE = {"width": 1150, "height": 680}
+SIZE = {"width": 1150, "height": 860}
 PIXEL = (294, 201)
 COLOURS = 96
 

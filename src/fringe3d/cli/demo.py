@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ from fringe3d.io.atomic import new_folder
 from fringe3d.io.recording import read_scan
 from fringe3d.io.stored import read_result
 from fringe3d.pipeline import MeasureOptions, measure
-from fringe3d.report.folder import summary, write_result
+from fringe3d.report.folder import Request, summary, write_result
 from fringe3d.report.measurement import report_html
 
 SEED = 7
@@ -37,7 +38,9 @@ def run_demo(out: Path, *, overwrite: bool, reporter: Reporter) -> tuple[str, di
         options = MeasureOptions()
         result = measure(recording, options, stage=reporter.stage)
         reporter.stage("writing")
-        write_result(folder / "result", recording, options, result)
+        command = shlex.join(["fringe3d", "demo", "--out", str(out)])
+        request = Request(command=command, scan=out / "scan")
+        write_result(folder / "result", recording, options, result, request=request)
         page = report_html(read_result(folder / "result"))
         (folder / "result" / "report.html").write_text(page, encoding="utf-8")
         with np.load(folder / "scan" / "truth.npz") as stored:

@@ -70,7 +70,9 @@ def table(
         "point_mm": axis.point_mm.tolist(), "direction": axis.direction.tolist(),
         "radius_mm": float(radii.mean()), "beside_um": beside, "out": str(out),
     }  # fmt: skip
-    point, way = (", ".join(f"{x:.4f}" for x in v) for v in (axis.point_mm, axis.direction))
+    point, way = (
+        ", ".join(f"{round(x, 4) + 0.0:.4f}" for x in v) for v in (axis.point_mm, axis.direction)
+    )
     say(
         f"axis through ({point}) mm, direction ({way}); {len(ball)} places of the ball on a circle "
         f"of {radii.mean():.3f} mm, at most {beside:.1f} um beside\n-> {out}",

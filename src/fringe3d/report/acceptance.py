@@ -220,7 +220,7 @@ def acceptance_markdown(record: dict[str, Any], /, *, command: str) -> str:
         cells = [
             NAMES[value["value"]],
             value["where"],
-            "" if center is None else ", ".join(f"{c:.2f}" for c in center),
+            "" if center is None else ", ".join(f"{round(c, 2) + 0.0:.2f}" for c in center),
             *("" if value[k] is None else f"{value[k]:,}" for k in ("points", "left_out", "far")),
             _um(value["sigma_mm"], ".1f"),
             _um(value["value_mm"], _form(value["value"])),
@@ -272,12 +272,13 @@ def draw_residuals(path: Path, positions: Sequence[Position], /, *, title: str) 
     parts = [(position, probed) for position in positions for probed in position.probed]
     shown = np.concatenate([p.fit.distances_mm[p.fit.is_used] for _, p in parts])
     limit = 1000 * float(np.percentile(np.abs(shown), HELD_BY_SCALE)) or 1.0
-    n_rows = -(-len(parts) // N_COLUMNS)
+    n_cols = min(max(len(parts), 2), N_COLUMNS)
+    n_rows = -(-len(parts) // n_cols)
     n_lines = title.count("\n") + 1
-    size = (N_COLUMNS * PANEL_INCHES, n_rows * PANEL_INCHES + 0.25 * n_lines + 0.3)
+    size = (n_cols * PANEL_INCHES, n_rows * PANEL_INCHES + 0.25 * n_lines + 0.3)
     figure = Figure(figsize=size, dpi=100, layout="constrained")
     figure.suptitle(title, fontsize=11, x=0.01, ha="left")
-    axes = figure.subplots(n_rows, N_COLUMNS, squeeze=False).ravel()
+    axes = figure.subplots(n_rows, n_cols, squeeze=False).ravel()
     for axis, (position, probed) in zip(axes, parts, strict=False):
         image = _draw_map(axis, position, probed, limit)
     for axis in axes[len(parts) :]:

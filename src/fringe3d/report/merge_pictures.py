@@ -45,7 +45,7 @@ def draw_overlaps(path: Path, found: Registration, names: Sequence[str], /) -> N
         axis.set_facecolor("#d9dce1")
         bar = figure.colorbar(image, ax=axis, shrink=0.9, pad=0.01, extend="max")
         bar.set_label("residual of the overlap (robust rms), um", fontsize=9)
-    figure.suptitle("Residuals of pairs of views; grey: no overlap", fontsize=11, x=0.01, ha="left")
+    figure.suptitle("Residuals of pairs of views; grey: no overlap", fontsize=11)
     figure.savefig(path)
 
 

@@ -105,7 +105,10 @@ def merge_text(record: dict[str, Any], /) -> str:
         lines[0] += f"; closure {record['closure_um']:.1f} um, {record['closure_urad']:.0f} urad"
     if "table" in record:
         t = record["table"]
-        at, way = (", ".join(f"{x:.4f}" for x in t[key]) for key in ("point_mm", "direction"))
+        at, way = (
+            ", ".join(f"{round(x, 4) + 0.0:.4f}" for x in t[key])
+            for key in ("point_mm", "direction")
+        )
         lines.append(
             f"table axis through ({at}) mm, direction ({way}); sigma {t['shift_sigma_um']:.2f} um "
             f"across, {t['lean_sigma_urad']:.1f} urad; poses {t['poses_beside_um']:.1f} um beside"

@@ -266,16 +266,18 @@ class LiveView:
         self.colour_by(self.colour.value)
         if len(self._levels) > 1:
             everything: Any = gui.add_checkbox(
-                "all points, even if slow", False,
-                hint="Otherwise fewer, larger ones where the browser is slow, and while it moves",
+                "all points", False,
+                hint="However slow; otherwise fewer, larger ones where drawing is slow",
             )  # fmt: skip
             everything.on_update(lambda _: self._pacing.draw_everything(bool(everything.value)))
-        self.surface = gui.add_checkbox("surfaces instead of points", False)
+        self.surface = gui.add_checkbox(
+            "surfaces", False, hint="Between neighbouring pixels, instead of points"
+        )
         self.surface.on_update(lambda _: self.as_surface(bool(self.surface.value)))
         with gui.add_folder("pixel of C1"):
             self.row: Any = gui.add_number("row", shape[0] // 2, min=0, max=shape[0] - 1, step=1)
             self.col: Any = gui.add_number("column", shape[1] // 2, min=0, max=shape[1] - 1, step=1)
-            self.sheets: Any = gui.add_checkbox("light sheets of the candidates", False)
+            self.sheets: Any = gui.add_checkbox("light sheets", False, hint="Of the candidates")
             button = gui.add_button("show its ray")
             self.story = gui.add_markdown("Enter a pixel, or click a point.")
 

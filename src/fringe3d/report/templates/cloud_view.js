@@ -135,7 +135,7 @@ function showCloud(root, cloud) {
   const slider = root.querySelector("input");
   const [large, middle] = [...cloud.framed_mm].sort((a, b) => b - a);
   const spacing = Math.sqrt(large * middle / cloud.count) * 1.1 * canvas.clientHeight / state.away;
-  slider.value = Math.min(8, Math.max(1, 1.6 * spacing));
+  slider.value = Math.min(8, Math.max(1.5, 2.2 * spacing));
   slider.oninput = draw;
   canvas.oncontextmenu = event => event.preventDefault();
   canvas.onpointerdown = event => canvas.setPointerCapture(event.pointerId);
