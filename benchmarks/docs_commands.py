@@ -77,7 +77,7 @@ MAKERS = {
     "OTHER.ply": "measure OTHER --out other-result",
     "other.ply": "measure OTHER --out other-result",
     "design": "design kolibri --out design",
-    "accepted": "evaluate acceptance --ball r1 --out accepted",
+    "accepted": "evaluate acceptance --ball r1 --diameter 20.003 --out accepted",
     "compared": "evaluate compare result OTHER.ply --out compared",
     "patterns/plan.toml": "patterns --size 1024x768 --period 32 --steps 4 --out patterns",
     "rig.toml": "",
@@ -322,11 +322,18 @@ def described(images: Path) -> None:
 def until_it_tells(words: list[str]) -> tuple[int, str]:
     """Run what does not end until it says that it is there, and end it."""
     command = [sys.executable, "-m", "fringe3d", *words]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as running:
+    said = ""
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+    ) as running:
         assert running.stdout is not None
-        line = running.stdout.readline()
-        running.terminate()  # as Ctrl-C, which does not reach what runs in the background
-        return running.wait(ENDLESS_S), line
+        for line in running.stdout:
+            said += line
+            if "Ctrl-C ends it" in line:
+                running.terminate()  # as Ctrl-C, which does not reach what runs in the background
+                break
+        said += running.stdout.read()
+        return running.wait(ENDLESS_S), said
 
 
 if __name__ == "__main__":

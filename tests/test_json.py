@@ -18,6 +18,7 @@ from board_series import C1, C2
 from closed_form import Recording
 from fringe3d.cli import main
 from fringe3d.cli.app import app
+from fringe3d.cli.console import say
 from fringe3d.io.rigfile import rig_text
 from fringe3d.io.scanfolder import write_scan
 from fringe3d.model import Rig
@@ -108,3 +109,14 @@ def test_view_tells_its_address_and_answers_there(tmp_path: Path) -> None:
         finally:
             running.terminate()
     assert running.returncode == 0
+
+
+def test_what_is_no_number_is_null(capsys: pytest.CaptureFixture[str]) -> None:
+    """RFC 8259: "Infinity and NaN are not permitted"."""
+
+    def refused(constant: str) -> Any:
+        raise AssertionError(constant)
+
+    say("", {"a": float("nan"), "b": [1.5, {"c": float("-inf")}]}, as_json=True)
+    told = json.loads(capsys.readouterr().out, parse_constant=refused)
+    assert told == {"a": None, "b": [1.5, {"c": None}]}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -69,8 +70,17 @@ def _labelled(label: str, colour: str, text: str) -> Text:
 
 def say(text: str, record: dict[str, Any] | None = None, *, as_json: bool = False) -> None:
     """Print the one-line result, or the record as JSON."""
-    told = json.dumps(record, default=str) if as_json else text
+    told = json.dumps(_without_nan(record), default=str) if as_json else text
     print(told, file=sys.stdout, flush=True)  # noqa: T201
+
+
+def _without_nan(value: Any) -> Any:
+    """Return a record in which what is no number is null: JSON knows neither NaN nor infinity."""
+    if isinstance(value, dict):
+        return {key: _without_nan(part) for key, part in value.items()}
+    if isinstance(value, list | tuple):
+        return [_without_nan(part) for part in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def fail(text: str) -> None:

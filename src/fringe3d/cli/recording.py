@@ -201,9 +201,9 @@ def lab(
         )  # fmt: skip
     at = {camera.name: f"127.0.0.{n + 1}" for n, camera in enumerate(world.cameras)}
     places = ", ".join(f"{name} at {address}" for name, address in at.items())
-    say(f"cameras {places}; projector at lab:127.0.0.1:{port}; Ctrl-C ends it",
-        {"cameras": at, "projector": f"lab:127.0.0.1:{port}"}, as_json=as_json)  # fmt: skip
     with suppress(KeyboardInterrupt):
+        say(f"cameras {places}; projector at lab:127.0.0.1:{port}; Ctrl-C ends it",
+            {"cameras": at, "projector": f"lab:127.0.0.1:{port}"}, as_json=as_json)  # fmt: skip
         serve(world, port=port)
 
 

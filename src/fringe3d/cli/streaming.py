@@ -8,6 +8,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+import rich
+
 from fringe3d.acquire import opened
 from fringe3d.cli.console import Reporter
 from fringe3d.devices import (
@@ -76,8 +78,8 @@ def run_live(
         )  # fmt: skip
         window = SlidingWindow(stream.plan, stream.infos)
         loop = Live(stream.moments, window, measure, clock)
-        show = _shower(options, rig, closing, tell, reporter)
         try:
+            show = _shower(options, rig, closing, tell, reporter)
             loop.run(show, most_clouds=options.clouds)
         except KeyboardInterrupt:
             loop.stop()
@@ -107,6 +109,7 @@ def _shower(
             f"live: expected the packages of the 3D view, found no '{problem.name}'. Install them: "
             "pip install 'fringe3d[view]', or measure without: --no-view"
         ) from None
+    rich.reconfigure(quiet=True)  # the banner of the server, on standard output
     view = StreamView(rig, host=options.host, port=options.port)
     closing.callback(view.close)
     tell(f"{view.address} shows the newest cloud; Ctrl-C ends it")
