@@ -18,6 +18,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import trimesh
 from scipy.spatial import cKDTree
 
 from fringe3d.cli import main as fringe3d
@@ -42,6 +43,8 @@ from fringe3d.simulate import OBJECTS, PRESETS, knocked
 
 OPTIONS = MeasureOptions()
 CELL_MM = 1.0
+OUTLIER_MM = 0.06
+CREASE = np.radians(20)
 BAD = 5
 
 
@@ -147,11 +150,7 @@ def surface(cloud, views, truths, poses, thing: str) -> None:  # type: ignore[no
     merged = deviations_from_mesh(own.apply(cloud.points_mm), triangles, reach_mm=1.0).signed_mm
     first = views[0].points_mm[views[0].is_valid]
     single = deviations_from_mesh(own.apply(first), triangles, reach_mm=1.0).signed_mm
-    cells = np.floor(cloud.points_mm / CELL_MM).astype(int)
-    which = np.unique(cells, axis=0, return_inverse=True)[1].ravel()
-    order = np.argsort(which, kind="stable")
-    parts = np.split(merged[order], np.cumsum(np.bincount(which))[:-1])
-    systematic = np.array([np.nanmedian(part) for part in parts if len(part) >= 10])
+    systematic, noise = cells(cloud, merged)
     print(
         f"deviation from the true surface, um: merged robust sigma {_robust(merged):.1f}, mean "
         f"{1e3 * np.nanmean(merged):+.1f}, sigma {1e3 * np.nanstd(merged):.1f}, 95 % below "
@@ -159,18 +158,16 @@ def surface(cloud, views, truths, poses, thing: str) -> None:  # type: ignore[no
         f"{_robust(single):.1f}, sigma {1e3 * np.nanstd(single):.1f}, 95 % below "
         f"{1e3 * np.nanpercentile(np.abs(single), 95):.1f}"
     )
-    # What noise leaves of a median, of the sigmas of the points and their number.
-    spreads = np.split(cloud.sigma_mm[order], np.cumsum(np.bincount(which))[:-1])
-    noise = np.array([1.2533e3 * np.sqrt(np.mean(part**2) / len(part))
-                      for part in spreads if len(part) >= 10])  # fmt: skip
-    print(f"noise of these medians: half within {0.6745 * np.median(noise):.1f}, 90 % within "
-          f"{1.645 * np.percentile(noise, 75):.1f} um")  # fmt: skip
-    print(
-        f"systematic part (medians of cells of {CELL_MM:g} mm), um: median "
-        f"{1e3 * np.median(systematic):+.2f}, half of them within "
-        f"{1e3 * np.median(np.abs(systematic)):.1f}, 90 % within "
-        f"{1e3 * np.percentile(np.abs(systematic), 90):.1f}"
-    )
+    print(f"systematic part (medians of cells of {CELL_MM:g} mm), um: {spread(systematic, noise)}")
+    # The first view is the frame, so what it errs moves all: best fit, as against a CAD mesh.
+    place, way = own.apply(cloud.points_mm), own.rotate(cloud.normals.astype(float))
+    design = np.column_stack([np.cross(place - place.mean(axis=0), way), way])
+    near = np.abs(merged) < OUTLIER_MM
+    fitted = merged - design @ np.linalg.lstsq(design[near], merged[near])[0]
+    print(f"after best fit: {spread(*cells(cloud, fitted))}")
+    smooth = _from_creases(mesh, place) > 2 * views[0].spacing_mm
+    print(f"beyond two pixels of creases ({smooth.mean():.0%} of the points): "
+          f"{spread(*cells(cloud, fitted, smooth))}")  # fmt: skip
     seen = []
     for truth, pose in zip(truths, poses, strict=True):
         good = truth["is_object"] & truth["lit"] & truth["in_volume"] & truth["seen_by_c2"]
@@ -181,6 +178,39 @@ def surface(cloud, views, truths, poses, thing: str) -> None:  # type: ignore[no
         f"of what the views saw lit, by both cameras: {(distance < 2 * spacing).mean():.2%} have a "
         f"merged point within {2 * spacing:.2f} mm"
     )
+
+
+def cells(cloud, deviation_mm, chosen=slice(None)):  # type: ignore[no-untyped-def]
+    """Return the median of each cell with ten points at least, and what noise leaves of it, um."""
+    corners = np.floor(cloud.points_mm[chosen] / CELL_MM).astype(int)
+    which = np.unique(corners, axis=0, return_inverse=True)[1].ravel()
+    order, cuts = np.argsort(which, kind="stable"), np.cumsum(np.bincount(which))[:-1]
+    parts, spreads = (np.split(values[chosen][order], cuts)
+                      for values in (deviation_mm, cloud.sigma_mm))  # fmt: skip
+    enough = [k for k, part in enumerate(parts) if len(part) >= 10]
+    medians = np.array([1e3 * np.nanmedian(parts[k]) for k in enough])
+    noise = np.array([1.2533e3 * np.sqrt(np.mean(spreads[k] ** 2) / len(spreads[k]))
+                      for k in enough])  # fmt: skip
+    return medians, noise
+
+
+def spread(medians: np.ndarray, noise: np.ndarray) -> str:
+    """Say how large medians of cells are, and what of it is not noise."""
+    rms, own = np.sqrt(np.mean(medians**2)), np.sqrt(np.mean(noise**2))
+    return (
+        f"median {np.median(medians):+.2f}, half of them within {np.median(np.abs(medians)):.1f}, "
+        f"90 % within {np.percentile(np.abs(medians), 90):.1f}; rms {rms:.1f}, of which noise "
+        f"{own:.1f}, leaves {np.sqrt(max(rms**2 - own**2, 0)):.1f}"
+    )
+
+
+def _from_creases(mesh, points_mm: np.ndarray) -> np.ndarray:  # type: ignore[no-untyped-def]
+    """Return how far points lie from edges of the mesh that bend by more than 20 degrees, mm."""
+    body = trimesh.Trimesh(mesh.vertices_mm, mesh.faces, process=True)
+    edges = body.vertices[body.face_adjacency_edges[body.face_adjacency_angles > CREASE]]
+    steps = [np.linspace(0, 1, max(int(np.linalg.norm(b - a) / 0.2), 1) + 1) for a, b in edges]
+    along = [a + t[:, None] * (b - a) for (a, b), t in zip(edges, steps, strict=True)]
+    return np.asarray(cKDTree(np.concatenate(along)).query(points_mm)[0])
 
 
 def _robust(values_mm: np.ndarray) -> float:

@@ -130,7 +130,10 @@ def _add(
     cosine: Floats, scale: float,
 ) -> None:  # fmt: skip
     """Add what one other view says; with a larger `cosine` it stands for the place itself."""
-    landed = land_on(other, points, normals)
+    towards = other.camera.center_world - points
+    faces = np.flatnonzero((towards * normals).sum(axis=1) > 0)  # it cannot see the others
+    sigma, cosine = sigma[faces], cosine[faces]
+    landed = land_on(other, points[faces], normals[faces])
     layer = LAYER * other.spacing_mm
     with np.errstate(invalid="ignore"):
         both = np.hypot(sigma, landed.sigma_mm)
@@ -140,9 +143,9 @@ def _add(
         through = ~same & ~is_close & (landed.behind_mm < -2 * layer)
         is_better = same & (landed.cosine > cosine)
     weight = np.maximum(landed.sigma_mm, 1e-9) ** -2.0
-    sums.weight[same] += weight[same]
-    sums.pull[same] -= (weight * landed.distance_mm)[same]
-    sums.against[beside] += weight[beside]
-    sums.n_views += same
-    sums.n_through += through
-    sums.is_best &= ~is_better
+    sums.weight[faces[same]] += weight[same]
+    sums.pull[faces[same]] -= (weight * landed.distance_mm)[same]
+    sums.against[faces[beside]] += weight[beside]
+    sums.n_views[faces[same]] += 1
+    sums.n_through[faces[through]] += 1
+    sums.is_best[faces[is_better]] = False

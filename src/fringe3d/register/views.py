@@ -17,6 +17,9 @@ REACH = 4.0
 
 LEAST_POINTS = 200
 
+ROWS = 256
+"""So many rows at least tell the typical distance of points."""
+
 SPARSE, DENSE, MOST_TOGETHER = 0.5, 0.8, 8
 """Where fewer of the points have neighbours, pixels are put together until so many have; and the
 most that are put together along a side."""
@@ -79,8 +82,13 @@ def surface_view(
 
 
 def typical_spacing_mm(points_mm: NDArray[np.float64], /) -> float:
-    """Return the median distance of points of neighbouring pixels, mm; NaN if there are none."""
-    sides = [np.diff(points_mm, axis=axis).reshape(-1, 3) for axis in (0, 1)]
+    """Return the median distance of points of neighbouring pixels, mm; NaN if there are none.
+
+    Of large views a part of the rows tells.
+    """
+    step = max(len(points_mm) // ROWS, 1)
+    here, below = points_mm[:-1:step], points_mm[1::step]
+    sides = [np.diff(here, axis=1).reshape(-1, 3), (below - here[: len(below)]).reshape(-1, 3)]
     steps = np.linalg.norm(np.concatenate(sides), axis=1)
     steps = steps[np.isfinite(steps)]
     return float(np.median(steps)) if len(steps) else float("nan")
