@@ -25,7 +25,7 @@ def wrap(angle):  # type: ignore[no-untyped-def]
     return angle - TWO_PI * np.floor(angle * (1 / TWO_PI) + 0.5)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", _nrt=False)
 def phase_difference(x, y, phase1, phase2):  # type: ignore[no-untyped-def]
     """Return phase2 - phase1 at (x, y), rad, wrapped, and the gradient of phase2, rad / px.
 
