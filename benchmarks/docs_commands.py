@@ -190,6 +190,8 @@ def prepare(words: list[str], page: Path, made: Path) -> None:
     if words[0] == "demo":
         shutil.rmtree("demo", ignore_errors=True)
     if words[0] == "report":
+        if words[1] == "rig.toml" and not Path("rig-board.md").exists():
+            calibrated()
         for written in [*Path(words[1]).glob("report.*"), *Path().glob("*-report.*")]:
             written.unlink()
 
@@ -202,6 +204,14 @@ def recorded_by_others(command: str) -> None:
         raise MissingError("needs FRINGE3D_DATA" if data is None else "whose FOLDER?")
     Path("FOLDER").unlink(missing_ok=True)
     Path("FOLDER").symlink_to(Path(data) / found[0])
+
+
+def calibrated() -> None:
+    """Leave a rig.toml with the report of its calibration beside."""
+    Path("rig.toml").unlink(missing_ok=True)
+    board = "calibrate FOLDER --scan examples/captures/procam-board.toml --board chessboard:9x7"
+    recorded_by_others(board)
+    run(shlex.split(f"{board} --out rig.toml"))
 
 
 def videos() -> None:

@@ -157,7 +157,8 @@ class Pacing:
         waiting = self._waiting.pop(client.client_id, None)
         if waiting is not None:
             waiting.cancel()
-        self._level_shown()
+        if self._details:  # else the server may have ended
+            self._level_shown()
 
     def _rested(self, number: int) -> None:
         self._details[number].rested(time.monotonic())
