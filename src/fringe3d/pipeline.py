@@ -215,17 +215,15 @@ def _decoded(
 def _filtered(
     phases: tuple[CameraPhases, ...], options: MeasureOptions
 ) -> tuple[CameraPhases, ...]:
-    """Return the phases at pixel centres, filtered; the first camera is looked at in its pixels
-    alone."""
-    blur = options.blur_px
-    return tuple(
-        filtered_camera(
-            camera if blur is None else centred_camera(camera, blur_px=blur, is_first=i == 0),
-            options.filter,
-            is_first=i == 0,
-        )
-        for i, camera in enumerate(phases)
-    )
+    """Return the phases filtered, and at pixel centres; the first camera is looked at in its
+    pixels alone."""
+    found, blur = [], options.blur_px
+    for i, camera in enumerate(phases):
+        smooth = filtered_camera(camera, options.filter, is_first=i == 0)
+        if blur is not None:
+            smooth = centred_camera(smooth, blur_px=blur, is_first=i == 0)
+        found.append(smooth)
+    return tuple(found)
 
 
 def _check_images(

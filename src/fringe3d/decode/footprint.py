@@ -62,7 +62,8 @@ def centred(phases: PhaseMap, /, *, blur_px: float = 0.4, is_first: bool = True)
 
     Parameters
     ----------
-    phases : PhaseMap; a map known to whole code cells only stays as it is
+    phases : PhaseMap; a map known to whole code cells only stays as it is; of a filtered one, what
+        its `detailed_std` counts stays
     blur_px : float, px, >= 0; standard deviation of the lens blur
     is_first : bool; see `centred_camera`
 
@@ -99,7 +100,9 @@ def centred(phases: PhaseMap, /, *, blur_px: float = 0.4, is_first: bool = True)
     footprint = PIXEL_VARIANCE + blur_px**2
     interpolation = 0.0 if is_first else INTERPOLATION
     growth, alike = _growth(footprint / 2 + interpolation)
-    if not is_first:  # see `PhaseMap.alike`
+    if phases.detailed_std is not None:  # filtered: bends have hardly any noise
+        growth, alike = 1.0, phases.alike
+    elif not is_first:  # see `PhaseMap.alike`
         growth *= (alike + (1 - alike) * 4 / 9) / (4 / 9)
     numbers = (
         footprint,
@@ -112,6 +115,10 @@ def centred(phases: PhaseMap, /, *, blur_px: float = 0.4, is_first: bool = True)
     )
     over_rows(_footprint.centre, len(answer), phases.phase, phases.phase_std, phases.modulation,
               tuple(map(np.float32, numbers)), answer, sigma)  # fmt: skip
+    if phases.detailed_std is not None:
+        with np.errstate(invalid="ignore"):  # infinite where there is no modulation
+            flattened = phases.detailed_std**2 - phases.phase_std**2
+        sigma = np.sqrt(sigma**2 + np.maximum(np.nan_to_num(flattened), 0))
     return replace(phases, phase=answer, detailed_std=sigma, alike=0.0 if is_first else alike)
 
 
