@@ -56,9 +56,11 @@ ALLOWED: dict[str, set[str]] = {
     "measurement": NOUNS | {"decode", "health"},
     # Points of cameras and projector: it weighs the noise of phases and places.
     "combining": NOUNS | {"correspond", "geometry", "patterns"},
+    "reflections": NOUNS | {"combining", "decode", "triangulate"},
     "pipeline": NOUNS
     | {
         "combining",
+        "reflections",
         "decode",
         "correspond",
         "health",

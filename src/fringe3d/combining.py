@@ -95,44 +95,133 @@ def combined(
     pixels or of the means of neighbours, is eP. So a projector whose calibration is off moves no
     surface and, where its error is not smooth, weighs less.
     """
-    good = points.is_valid & _is_crossing(matches.pixels, phases[0].phase, phases2.phase)
-    index = np.flatnonzero(good.ravel())
-    if len(index) < LEAST_POINTS:
+    placed = _placed(points, matches, phases[0], phases2, cameras)
+    if placed is None:
         return points, tuple(np.inf for _ in phases)
-    here = points.points_mm.reshape(-1, 3)[index]
-    rays = here - cameras[0].center_world
-    depth = np.linalg.norm(rays, axis=1)
-    rays /= depth[:, None]
-    pixels = matches.pixels.reshape(-1, 2)[index]
-    sigma = points.sigma_mm.reshape(-1)[index].astype(float)
-    noise1 = phases[0].point_std.reshape(-1)[index].astype(float) ** 2
-    noise2 = variance_between(phases2, pixels)
-    slope2 = np.sqrt(noise1 + noise2) / sigma
-    slope2 *= _sign_along(phases2, pixels, here, rays * (DEPTH_STEP * depth)[:, None], cameras[1])
-
-    shift, variance, stds = np.zeros(len(here)), sigma**2, []
+    shift, variance, stds = np.zeros(len(placed.index)), placed.sigma**2, []
     for number, one in enumerate(phases):
-        own = one.point_std.reshape(-1)[index].astype(float) ** 2
-        phase = one.phase.reshape(-1)[index].astype(float)
-        raw, slope = _residual(one, phase, here, rays, depth, projector)
-        # Of the disagreement, noise explains this: C1's moves the point and is asked for, too.
-        part = slope / slope2
-        if number == 0:
-            explained = noise1 * (part - 1) ** 2 + noise2 * part**2
-        else:
-            explained = own + (noise1 + noise2) * part**2
-        found = _agreement(raw, slope, explained, here, index, good.shape)
+        own = placed.of(one.point_std) ** 2
+        found, explained = _compared(placed, one, projector, is_first=number == 0)
         stds.append(found.own_std)
         if np.isfinite(found.own_std):
             fits = np.abs(found.residual) < MOST_APART * np.sqrt(explained + found.own_std**2)
-            shared = noise1 / slope2 if number == 0 else np.zeros(len(here))
+            shared = placed.noise1 / placed.slope2 * (number == 0)
             # Never better than C1 sees it: pattern and response are not in the noise.
             least = float(np.median(own))
             found = replace(found, own_std=float(np.sqrt(max(found.own_std**2, least))))
             stds[-1] = found.own_std
             moved, less = _weighed(shift, variance, found, own, shared)
             shift, variance = np.where(fits, moved, shift), np.where(fits, less, variance)
-    return _moved(points, index, rays, shift, np.sqrt(variance)), tuple(stds)
+    best = _moved(points, placed.index, placed.rays, shift, np.sqrt(variance))
+    return best, tuple(stds)
+
+
+def disagreement(
+    points: PointMap,
+    matches: Correspondences,
+    phases: PhaseMap,
+    phases2: PhaseMap,
+    cameras: tuple[Device, Device],
+    projector: Device,
+    /,
+) -> Floats:
+    """Return by how many standard deviations the projector disagrees with points of two cameras.
+
+    Parameters
+    ----------
+    points, matches, phases, phases2, cameras, projector : see `combined`; `phases` is the map that
+        was matched
+
+    Returns
+    -------
+    (row, col) float64; with the sign of the phase. What follows the place smoothly, as the error of
+    a calibration does, is taken away; NaN where there is nothing to compare
+    """
+    apart = np.full(points.rejection.shape, np.nan)
+    placed = _placed(points, matches, phases, phases2, cameras)
+    if placed is None:
+        return apart
+    found, explained = _compared(placed, phases, projector, is_first=True)
+    if np.isfinite(found.own_std):
+        least = float(np.median(placed.noise1))
+        variance = explained + max(found.own_std**2, least)
+        apart.ravel()[placed.index] = found.residual / np.sqrt(variance)
+    return apart
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Placed:
+    """Points that C1 and C2 place.
+
+    Parameters
+    ----------
+    index : (n,) int; their pixels
+    points_mm, rays : (n, 3) float
+    depth_mm, sigma : (n,) mm
+    noise1, noise2 : (n,) rad**2; of the phases of C1 and C2
+    slope2 : (n,) rad / mm; of the phase of C2 along the ray
+    shape : of the map
+    """
+
+    index: NDArray[np.intp]
+    points_mm: Floats
+    rays: Floats
+    depth_mm: Floats
+    sigma: Floats
+    noise1: Floats
+    noise2: Floats
+    slope2: Floats
+    shape: tuple[int, int]
+
+    def of(self, values: NDArray[np.float32]) -> Floats:
+        """Return the values (row, col) of the points' pixels, (n,)."""
+        return values.reshape(-1)[self.index].astype(float)
+
+
+def _placed(
+    points: PointMap,
+    matches: Correspondences,
+    phases: PhaseMap,
+    phases2: PhaseMap,
+    cameras: tuple[Device, Device],
+) -> _Placed | None:
+    """Return the points that C2 places, None where they are too few."""
+    good = points.is_valid & _is_crossing(matches.pixels, phases.phase, phases2.phase)
+    index = np.flatnonzero(good.ravel())
+    if len(index) < LEAST_POINTS:
+        return None
+    here = points.points_mm.reshape(-1, 3)[index]
+    rays = here - cameras[0].center_world
+    depth = np.linalg.norm(rays, axis=1)
+    rays /= depth[:, None]
+    pixels = matches.pixels.reshape(-1, 2)[index]
+    sigma = points.sigma_mm.reshape(-1)[index].astype(float)
+    noise1 = phases.point_std.reshape(-1)[index].astype(float) ** 2
+    noise2 = variance_between(phases2, pixels)
+    slope2 = np.sqrt(noise1 + noise2) / sigma
+    slope2 *= _sign_along(phases2, pixels, here, rays * (DEPTH_STEP * depth)[:, None], cameras[1])
+    return _Placed(index=index, points_mm=here, rays=rays, depth_mm=depth, sigma=sigma,
+                   noise1=noise1, noise2=noise2, slope2=slope2, shape=good.shape)  # fmt: skip
+
+
+def _compared(
+    placed: _Placed, one: PhaseMap, projector: Device, *, is_first: bool
+) -> tuple[Agreement, Floats]:
+    """Return how the projector agrees, and the variance of that which noise explains, rad**2.
+
+    is_first: the direction that was matched; C1's noise then moves the point and is asked for, too.
+    """
+    raw, slope = _residual(one, placed.of(one.phase), placed.points_mm, placed.rays,
+                           placed.depth_mm, projector)  # fmt: skip
+    part = slope / placed.slope2
+    if is_first:
+        explained = placed.noise1 * (part - 1) ** 2 + placed.noise2 * part**2
+    else:
+        own = placed.of(one.point_std) ** 2
+        explained = own + (placed.noise1 + placed.noise2) * part**2
+    return _agreement(
+        raw, slope, explained, placed.points_mm, placed.index, placed.shape
+    ), explained
 
 
 def _is_crossing(
@@ -216,11 +305,13 @@ def _agreement(
         return Agreement(residual=raw, slope=slope, own_std=np.inf)
     part = known[:: max(1, len(known) // SAMPLE)]
     terms = _terms(points)
-    kept = part
-    for _ in range(FIT_ROUNDS):
-        weight = 1 / np.sqrt(explained[kept])
-        smooth, *_ = np.linalg.lstsq(terms[kept] * weight[:, None], raw[kept] * weight, rcond=None)
-        left = raw - terms @ smooth
+    left, kept = raw - np.median(raw[part]), part
+    for number in range(FIT_ROUNDS + 1):
+        if number > 0:  # a small part that is far off must not bend the first fit
+            weight = 1 / np.sqrt(explained[kept])
+            model = terms[kept] * weight[:, None]
+            smooth, *_ = np.linalg.lstsq(model, raw[kept] * weight, rcond=None)
+            left = raw - terms @ smooth
         left -= 2 * np.pi * np.rint(left / (2 * np.pi))
         spread = MAD_TO_SIGMA * float(np.median(np.abs(left[part]) / np.sqrt(explained[part])))
         kept = part[np.abs(left[part]) < MOST_APART * spread * np.sqrt(explained[part])]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,7 +52,7 @@ class Measurement:
         return tuple(f for f in self.findings if f.level != "ok")
 
     @property
-    def rejection(self) -> NDArray[np.uint16]:
+    def rejection(self) -> NDArray[np.unsignedinteger[Any]]:
         """Return the rejection map of C1."""
         return self.main.rejection if self.points is None else self.points.rejection
 

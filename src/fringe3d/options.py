@@ -57,6 +57,8 @@ class MeasureOptions:
         phases place them, too, see `fringe3d.combining`
     outliers : "none", "light", "medium" or "strong"; reject points off the surface of their
         neighbours by more than their sigma explains, see `fringe3d.triangulate.remove_outliers`
+    reflections : "none", "light", "medium" or "strong"; reject points on which cameras and
+        projector disagree, see `fringe3d.reflections`
     own_response : bool; take out of the phases what a nonlinear response (gamma) does to them, as
         these images show it; else that of the stacks
     follow : bool; the fringe orders are those of the frame before, gone on from: fast, and only
@@ -77,6 +79,7 @@ class MeasureOptions:
     blur_px: float | None = 0.4
     best_estimate: bool = False
     outliers: Filter = "none"
+    reflections: Filter = "none"
     own_response: bool = False
     follow: bool = False
 

@@ -54,6 +54,7 @@ from fringe3d.model import (
 )
 from fringe3d.model.rejection import count_by_reason
 from fringe3d.options import MeasureOptions, keep_images, volume_of
+from fringe3d.reflections import without_reflections
 from fringe3d.segments import angles_without_code
 from fringe3d.triangulate import (
     epipolar_limit_px,
@@ -158,8 +159,7 @@ def measure(
         is_checked = other.role == "camera" and not options.follow
         of_texture = alongside(_check_texture, matches, phases, camera, other, is_checked)
         points = _triangulated(matched, camera, other, volume)
-        if options.best_estimate:
-            points = _with_projector(points, matches, phases, camera, other, projector)
+        points = _with_projector(points, matches, phases, camera, other, projector, options)
     with clock("checking"):
         findings = [*of_images(), *findings, *check_epipolar(matches), *check_yield(points)]
         findings += of_texture()
@@ -186,19 +186,27 @@ def _with_projector(
     camera: Device,
     other: Device,
     projector: Device | None,
+    options: MeasureOptions,
 ) -> PointMap:
-    """Return points of both cameras and the projector; refuse it where one of them is missing."""
+    """Let the projector judge and move the points, as asked for; refuse it where it cannot."""
+    how, seeks = options.reflections, options.reflections != "none"
+    names = " and ".join(["--best-estimate"] * options.best_estimate + ["--reflections"] * seeks)
+    if not names:
+        return points
     if projector is None or other.role != "camera":
         raise MethodError(
-            "--best-estimate: expected two cameras and a calibrated projector, found "
+            f"{names}: expected two cameras and a calibrated projector, found "
             + ("one camera" if projector is not None else "no projector in the rig")
-            + ". Leave --best-estimate out, or calibrate the projector "
+            + f". Leave {names} out, or calibrate the projector "
             "(fringe3d calibrate projector --from SCAN)"
         )
-    maps = [direction.main for direction in phases[0].directions]
-    second = phases[1].directions[0].like(maps[0])
-    best, _ = combined(points, matches, maps, second, (camera, other), projector)
-    return best
+    if seeks:
+        points = without_reflections(points, matches, phases, (camera, other), projector, how)
+    if options.best_estimate:
+        maps = [direction.main for direction in phases[0].directions]
+        second = phases[1].directions[0].like(maps[0])
+        points, _ = combined(points, matches, maps, second, (camera, other), projector)
+    return points
 
 
 def _decoded(

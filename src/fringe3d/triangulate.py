@@ -161,7 +161,7 @@ def remove_isolated(
     reach_px : int, >= 1; how far apart, in rows and columns, neighbours may be
     """
     sizes = patch_sizes(points.points_mm, max_gap_mm, reach_px)
-    return _without(points, sizes < min_pixels, Rejection.ISOLATED)
+    return without(points, sizes < min_pixels, Rejection.ISOLATED)
 
 
 def remove_outliers(
@@ -196,7 +196,7 @@ def remove_outliers(
     """
     depth = np.linalg.norm(points.points_mm - origin_mm, axis=-1)
     out = stands_out(depth, points.sigma_mm, most_sigma=most_sigma, max_gap_mm=max_gap_mm)
-    return _without(points, out, Rejection.OUTLIER)
+    return without(points, out, Rejection.OUTLIER)
 
 
 def remove_edges(points: PointMap, /, *, max_gap_mm: float) -> PointMap:
@@ -216,7 +216,7 @@ def remove_edges(points: PointMap, /, *, max_gap_mm: float) -> PointMap:
         joined[here] &= ~far
         joined[there] &= ~far
     inner = ndimage.binary_erosion(joined, np.ones((3, 3), bool))
-    return _without(points, ~inner, Rejection.EDGE)
+    return without(points, ~inner, Rejection.EDGE)
 
 
 def remove_repeated(points: PointMap, matches: Correspondences, /) -> PointMap:
@@ -240,7 +240,7 @@ def remove_repeated(points: PointMap, matches: Correspondences, /) -> PointMap:
     is_first = np.r_[True, (np.diff(ordered, axis=0) != 0).any(axis=1)]
     repeated = np.zeros(points.rejection.size, bool)
     repeated[good[nearest_first[~is_first]]] = True
-    return _without(points, repeated.reshape(points.rejection.shape), Rejection.SAME_POINT)
+    return without(points, repeated.reshape(points.rejection.shape), Rejection.SAME_POINT)
 
 
 def typical_gap_mm(points: PointMap, /) -> float:
@@ -268,7 +268,8 @@ def _neighbours(reach_px: int) -> Iterator[tuple[Window, Window]]:
                 )
 
 
-def _without(points: PointMap, where: NDArray[np.bool_], reason: Rejection) -> PointMap:
+def without(points: PointMap, where: NDArray[np.bool_], reason: Rejection, /) -> PointMap:
+    """Return the points without some of them, (row, col) bool, which are rejected for a reason."""
     bad = (points.rejection == 0) & where
     if not bad.any():
         return points

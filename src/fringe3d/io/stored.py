@@ -40,9 +40,9 @@ class StoredResult:
     rig: Rig | None
 
     @property
-    def rejection(self) -> NDArray[np.uint16]:
+    def rejection(self) -> NDArray[np.uint32]:
         """Return the `Rejection` bits, (row, col)."""
-        return np.asarray(self.maps["rejection"], np.uint16)
+        return np.asarray(self.maps["rejection"], np.uint32)
 
     def _repr_html_(self) -> str:
         rows = [(name, self.record[name]) for name in ("summary", "time", "why_this_method")]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,20 +22,20 @@ class PointMap:
     points_mm : (row, col, 3) float64, mm, world frame; NaN where rejected
     sigma_mm : (row, col) float32, mm; standard deviation along the viewing ray of C1
     skew_mm : (row, col) float32, mm; shortest distance of the two rays
-    rejection : (row, col) uint16; `Rejection` bits; 0 exactly where there is a point
+    rejection : (row, col) uint32; `Rejection` bits; 0 exactly where there is a point
     """
 
     points_mm: NDArray[np.float64]
     sigma_mm: NDArray[np.float32]
     skew_mm: NDArray[np.float32]
-    rejection: NDArray[np.uint16]
+    rejection: NDArray[np.unsignedinteger[Any]]
 
     def __post_init__(self) -> None:
         for name, dtype in (
             ("points_mm", np.float64),
             ("sigma_mm", np.float32),
             ("skew_mm", np.float32),
-            ("rejection", np.uint16),
+            ("rejection", np.uint32),
         ):
             object.__setattr__(self, name, frozen(getattr(self, name), dtype))
         x, y, z = np.moveaxis(self.points_mm, -1, 0)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from enum import IntFlag
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +31,7 @@ class Rejection(IntFlag):
     SAME_POINT = 1 << 13
     HIDDEN = 1 << 14
     OUTLIER = 1 << 15
+    REFLECTION = 1 << 16
 
     @property
     def meaning(self) -> str:
@@ -55,15 +57,17 @@ _MEANINGS = {
     Rejection.SAME_POINT: "shares its projector pixel with neighbours: one point stands for all",
     Rejection.HIDDEN: "the surface itself hides the point from the second camera or the light",
     Rejection.OUTLIER: "off the surface of its neighbours by more than sigma explains (--outliers)",
+    Rejection.REFLECTION: "cameras and projector disagree: light came by a second path, too "
+    "(--reflections)",
 }
 
 
-def count_by_reason(rejection: NDArray[np.uint16]) -> dict[str, int]:
+def count_by_reason(rejection: NDArray[np.unsignedinteger[Any]]) -> dict[str, int]:
     """Count the pixels of each reason; every rejected pixel counts once.
 
     Parameters
     ----------
-    rejection : (row, col) uint16, `Rejection` bits
+    rejection : (row, col) of unsigned integers, `Rejection` bits
 
     Returns
     -------
@@ -81,6 +85,11 @@ def count_by_reason(rejection: NDArray[np.uint16]) -> dict[str, int]:
     return {name: count for name, count in counts.items() if count}
 
 
-def reject(rejection: NDArray[np.uint16], where: NDArray[np.bool_], reason: Rejection, /) -> None:
-    """Set the bit of `reason` in place where `where` is True."""
-    rejection[where] |= np.uint16(reason)
+def reject(
+    rejection: NDArray[np.unsignedinteger[Any]], where: NDArray[np.bool_], reason: Rejection, /
+) -> None:
+    """Set the bit of `reason` in place where `where` is True.
+
+    Phases and correspondences have 16 bits, points 32: what only points are rejected for is above.
+    """
+    rejection[where] |= rejection.dtype.type(reason)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,6 +41,9 @@ ADVICE = {
     "camera or the light.",
     Rejection.OUTLIER: "Single points that stand out are rightly left out. Many of them on a "
     "surface that shines, or in a corner, tell of reflections: matt the surface, or turn it.",
+    Rejection.REFLECTION: "Rightly left out. Matt the surface (scanning spray), or turn it so that "
+    "no other surface shines on it; many on a matt one tell of a projector that is no longer "
+    "calibrated.",
 }
 
 
@@ -54,7 +57,7 @@ class ReasonRow(NamedTuple):
     advice: str
 
 
-def reason_rows(rejection: NDArray[np.uint16], /) -> list[ReasonRow]:
+def reason_rows(rejection: NDArray[np.unsignedinteger[Any]], /) -> list[ReasonRow]:
     """Return the reasons that occur, the most frequent first.
 
     Examples

@@ -18,7 +18,7 @@ ACCEPTED = "#e8e8e8"
 REASON_COLORS = (
     "#d62728", "#30343b", "#9467bd", "#8c564b", "#e377c2", "#ff7f0e", "#ffdd00",
     "#17becf", "#2ca02c", "#1f77b4", "#98df8a", "#bcbd22", "#ff9896", "#b8c4d0", "#5b4bb5",
-    "#006d5b",
+    "#006d5b", "#b5651d",
 )  # fmt: skip
 MAX_PANEL_PX = 900
 """Maps are thinned to about this size; nobody sees more in one panel."""
@@ -104,7 +104,7 @@ def relief(title: str, depth: NDArray[np.float64]) -> Drawer:
     return draw
 
 
-def reasons(rejection: NDArray[np.uint16]) -> Drawer:
+def reasons(rejection: NDArray[np.unsignedinteger[Any]]) -> Drawer:
     """Draw the rejected pixels in a colour for each reason."""
     counts = count_by_reason(rejection)
     total = rejection.size

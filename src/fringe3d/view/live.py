@@ -319,7 +319,9 @@ def colours_of(
     return np.asarray(255 * colormaps[channel.colours](part)[:, :3]).astype(np.uint8)
 
 
-def rejection_image(rejection: NDArray[np.uint16], /) -> tuple[NDArray[np.uint8], str]:
+def rejection_image(
+    rejection: NDArray[np.unsignedinteger[Any]], /
+) -> tuple[NDArray[np.uint8], str]:
     """Return rejected pixels in the colour of their first reason, (row, col, 3), and a legend."""
     bits = rejection.astype(np.int64)
     number = np.where(bits > 0, np.log2(np.maximum(bits & -bits, 1)) + 1, 0).astype(int)
