@@ -3,6 +3,7 @@
     python -m benchmarks.unkind response     a projector's gamma taken out of the phase
     python -m benchmarks.unkind exposures    glossy, dark and white: several exposures together
     python -m benchmarks.unkind noise        the noise model of a camera, found from its images
+    python -m benchmarks.unkind bricks       two periods of phaseshift-bricks (FRINGE3D_DATA)
 
 Scans are rendered at 640 x 512 px; each figure is against the simulator's truth.
 """
@@ -10,8 +11,10 @@ Scans are rendered at 640 x 512 px; each figure is against the simulator's truth
 from __future__ import annotations
 
 import argparse
+import os
 from collections.abc import Iterator
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +26,8 @@ from fringe3d.decode import (
     noise_from_steps,
     response_from_fringes,
 )
+from fringe3d.health.response import period_disagreement
+from fringe3d.io.recording import read_scan
 from fringe3d.model import ImageStack, Scan
 from fringe3d.patterns import across, method_plan
 from fringe3d.pipeline import MeasureOptions, measure
@@ -65,8 +70,8 @@ CAMERAS = (
 def main() -> None:
     """Print one of the tables."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("what", choices=("response", "exposures", "noise"))
-    tables = {"response": response, "exposures": exposures, "noise": noise}
+    parser.add_argument("what", choices=("response", "exposures", "noise", "bricks"))
+    tables = {"response": response, "exposures": exposures, "noise": noise, "bricks": bricks}
     for row in tables[parser.parse_args().what]():
         print("| " + " | ".join(row) + " |", flush=True)
 
@@ -160,6 +165,25 @@ def noise() -> Iterator[tuple[str, ...]]:
         yield (f"{camera.bit_depth} bit, full well {camera.full_well_e:,.0f}, gamma {gamma:g}",
                " / ".join(f"{m.read_noise_dn:.3f}" for m in models),
                " / ".join(f"{m.gain_dn_per_e:.4f}" for m in models))  # fmt: skip
+
+
+def bricks() -> Iterator[tuple[str, ...]]:
+    """Yield by how much the periods of a recording with gamma disagree, before and after."""
+    yield "fringes", "response", "modulation, DN", "pixels", "median, px", "half of 95 %, px"
+    folder = Path(os.environ["FRINGE3D_DATA"])
+    stack = read_scan(Path("examples/captures/phaseshift-bricks.toml"), images=folder).stacks[0]
+    taken = stack.with_response(response_from_fringes(stack))
+    for name, one in (("as recorded", stack), ("self", taken)):
+        for direction in decode(one, (1080, 1920)).directions:
+            main, other = direction.main, direction.others[0]
+            apart = period_disagreement(main, other)
+            light = np.minimum(main.modulation, other.modulation)
+            for least in (0, 20, 40):
+                part = apart[np.isfinite(apart) & (light >= least)]
+                low, high = np.percentile(part, [2.5, 97.5])
+                angle = f"{np.degrees(main.angle):g} deg"
+                yield (angle, name, f"{least} and more", f"{len(part):,}",
+                       f"{np.median(np.abs(part)):.2f}", f"{(high - low) / 2:.2f}")  # fmt: skip
 
 
 if __name__ == "__main__":
