@@ -87,7 +87,7 @@ MAKERS = {
     "stereo.yml": "export rig.toml --out stereo.yml",
     "kolibri.toml": "",
     "plan.toml": "patterns --size 1024x768 --period 16 --steps 4 --gray-bits 3 --out plan",
-    "LARGE": "",
+    "LARGE": f"simulate kolibri {SMALL} --object plane --plan m1 --steps 4 --out LARGE",
     "part.stl": "",
 }
 """What makes a thing that commands name; nothing where `made` does it."""
@@ -177,6 +177,7 @@ def prepare(words: list[str], page: Path, made: Path) -> None:
             shutil.rmtree(out)
         else:
             Path(out).unlink(missing_ok=True)
+            Path(out).with_suffix(".png").unlink(missing_ok=True)  # what some leave beside
     for word in words[1:]:
         name = word.split("=")[-1]  # of NAME=FILE
         if name == "FOLDER":
