@@ -20,6 +20,7 @@ from fringe3d.calibrate._pose_problem import (
 from fringe3d.calibrate._poses import N_POSE, loss_of, noise_of, pose_change
 from fringe3d.calibrate._projecting import skew
 from fringe3d.calibrate.homologous import Homologous
+from fringe3d.errors import EmptyResultError
 from fringe3d.model import Device
 
 Floats = NDArray[np.float64]
@@ -123,13 +124,15 @@ def which_moved(scans: Sequence[Homologous], devices: Sequence[Device], /) -> Mo
     Raises
     ------
     EmptyResultError
-        If no points lie in front of the devices.
+        If no points lie in front of the devices, or three devices see none.
 
     Notes
     -----
     The loss of `fit_poses`. That C1 moved means that all others moved the other way together.
     """
     problem, before = problem_of_points(scans, devices)
+    if not sum(int(n.freedom.sum()) for n in problem.normals(before, 1.0)) > 0:
+        raise EmptyResultError("expected points that three devices see, found none")
     noise, crowding = noise_of(problem.normals(before, 1.0), 1.0), 1.0
     after = before
     for _ in range(2):
