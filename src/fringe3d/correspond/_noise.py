@@ -10,7 +10,7 @@ from numba import njit
 from fringe3d.correspond._phase import INTERPOLATION_WEIGHT
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", _nrt=False)
 def interpolated(x, y, phase, sigma, alike):  # type: ignore[no-untyped-def]
     """Return the variance of the phase at a place, rad**2, as `phase_difference` interpolates it.
 

@@ -28,7 +28,7 @@ NOTHING = u2(0)
 OUTSIDE_VOLUME, NO_MATCH = u2(Rejection.OUTSIDE_VOLUME), u2(Rejection.NO_MATCH)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", _nrt=False)
 def _judged(shown, moved, scatter, limits):  # type: ignore[no-untyped-def]
     """Return whether C2 sees the phase of C1, and how far around it is searched, periods.
 
