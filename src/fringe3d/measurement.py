@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -75,3 +78,19 @@ def point_cloud(result: Measurement, /) -> PointCloud:
         grey=np.clip(255 * offset / top, 0, 255).astype(np.uint8),
         source_index=np.argwhere(good).astype(np.int32),
     )
+
+
+class StageClock:
+    """Times the stages of a measurement, `seconds`, and tells of each as it begins."""
+
+    def __init__(self, stage: Callable[[str], object]) -> None:
+        self._stage = stage
+        self.seconds: dict[str, float] = {}
+
+    @contextmanager
+    def __call__(self, name: str) -> Iterator[None]:
+        """Time what is done within."""
+        self._stage(name)
+        start = time.perf_counter()
+        yield
+        self.seconds[name] = time.perf_counter() - start

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -40,7 +38,7 @@ from fringe3d.health import (
 )
 from fringe3d.kernels import alongside
 from fringe3d.matching import Matched, best_direction_first, followed, match
-from fringe3d.measurement import Measurement, point_cloud
+from fringe3d.measurement import Measurement, StageClock, point_cloud
 from fringe3d.methods import choose_method, images_of, settle
 from fringe3d.model import (
     Correspondences,
@@ -116,7 +114,7 @@ def measure(
         If no pixel gave a point.
     """
     options = options or MeasureOptions()
-    clock = _Clock(stage)
+    clock = StageClock(stage)
     stacks = [keep_images(stack, options) for stack in scan.stacks]
     choice = choose_method(scan.rig, stacks, options)
     volume = volume_of(scan.rig, stacks[0].device_name, options)
@@ -371,7 +369,7 @@ def _without_strays(
     return remove_isolated(points, max_gap_mm=gap, min_pixels=MIN_PATCH_PIXELS, reach_px=reach)
 
 
-def _finish(result: Measurement, clock: _Clock) -> Measurement:
+def _finish(result: Measurement, clock: StageClock) -> Measurement:
     """Refuse a result that contradicts the calibration, or that is empty."""
     _refuse(result.findings, CalibrationError)
     is_refused = any(f.name == "undecided_part" and f.level != "ok" for f in result.findings)
@@ -392,18 +390,3 @@ def _refuse(findings: Sequence[Finding], error: type[Fringe3DError]) -> Sequence
     if errors:
         raise error(". ".join(errors))
     return findings
-
-
-class _Clock:
-    """Times the stages and tells of each as it begins."""
-
-    def __init__(self, stage: Callable[[str], object]) -> None:
-        self._stage = stage
-        self.seconds: dict[str, float] = {}
-
-    @contextmanager
-    def __call__(self, name: str) -> Iterator[None]:
-        self._stage(name)
-        start = time.perf_counter()
-        yield
-        self.seconds[name] = time.perf_counter() - start

@@ -14,6 +14,7 @@ import numpy as np
 from numba import njit
 
 from fringe3d.geometry._lens import project_normalized
+from fringe3d.kernels import HELPER
 
 SHEET_STEPS = 8
 """Upper bound; the pinhole's slope with the exact lens gains two digits a step."""
@@ -54,14 +55,14 @@ def pixel(base, along, t, lens):  # type: ignore[no-untyped-def]
     return project_normalized((base[0] + t * along[0]) / z, (base[1] + t * along[1]) / z, lens)
 
 
-@njit(cache=True, error_model="numpy", _nrt=False)
+@njit(**HELPER)
 def across(base, along, t, lens, axis):  # type: ignore[no-untyped-def]
     """Return the coordinate w across the fringes that light a point of a viewing ray."""
     x, y = pixel(base, along, t, lens)
     return axis[0] * (x + 0.5) + axis[1] * (y + 0.5)
 
 
-@njit(cache=True, error_model="numpy", _nrt=False)
+@njit(**HELPER)
 def sheet_depth(base, along, w, lens, axis):  # type: ignore[no-untyped-def]
     """Return where a viewing ray meets a light sheet; NaN where it does not.
 
@@ -83,7 +84,7 @@ def sheet_depth(base, along, w, lens, axis):  # type: ignore[no-untyped-def]
     return np.nan
 
 
-@njit(cache=True, error_model="numpy", _nrt=False)
+@njit(**HELPER)
 def exact_point(w, along_p, along_2, projector, camera2):  # type: ignore[no-untyped-def]
     """Return t, x, y of the point of a ray that the sheet w lights, and their slopes over w."""
     base_p, lens_p, axis = projector
@@ -140,7 +141,7 @@ def _through(u, v, at_0, at_u, at_v, at_1):  # type: ignore[no-untyped-def]
     return rise, first - b * u, b
 
 
-@njit(cache=True, error_model="numpy", _nrt=False)
+@njit(**HELPER)
 def _fit(w, depths, along_p, along_2, projector, camera2, c):  # type: ignore[no-untyped-def]
     """Write the curve through four points of a ray, with these w and depths."""
     base_p, base_2, lens_2 = projector[0], camera2[0], camera2[1]

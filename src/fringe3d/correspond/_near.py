@@ -26,6 +26,7 @@ from fringe3d.correspond._search import (
     segment,
 )
 from fringe3d.geometry._lens import project_normalized
+from fringe3d.kernels import HELPER
 from fringe3d.model import Rejection
 
 u2 = np.uint16
@@ -41,7 +42,7 @@ LEAST_SLOPE = 1e-3
 """rad / px; a phase that rises less may cross several times."""
 
 
-@njit(cache=True, error_model="numpy", _nrt=False)
+@njit(**HELPER)
 def _window(w, half, along_p, projector):  # type: ignore[no-untyped-def]
     """Return where a ray crosses the sheet w, mm, and how far off it does those `half` px off."""
     base, _, lens, axis = projector
@@ -51,7 +52,7 @@ def _window(w, half, along_p, projector):  # type: ignore[no-untyped-def]
     return t, abs(half * step / rise)
 
 
-@njit(cache=True, error_model="numpy", _nrt=False)
+@njit(**HELPER)
 def _descend(part, line, ends, phi1, lens2, phase2):  # type: ignore[no-untyped-def]
     """Follow the phase from a part of the segment to where it is phi1.
 
@@ -75,7 +76,7 @@ def _descend(part, line, ends, phi1, lens2, phase2):  # type: ignore[no-untyped-
     return np.nan, np.nan, np.nan, np.nan
 
 
-@njit(cache=True, error_model="numpy", _nrt=False)
+@njit(**HELPER)
 def _is_only_one(part, x, y, slope, ends, phi1, phase2):  # type: ignore[no-untyped-def]
     """Tell whether the phase lies on the right side of phi1 all along the segment, to the next
     pixel: then it crosses nowhere else."""
@@ -94,7 +95,7 @@ def _is_only_one(part, x, y, slope, ends, phi1, phase2):  # type: ignore[no-unty
     return True
 
 
-@njit(cache=True, error_model="numpy", _nrt=False)
+@njit(**HELPER)
 def _found(t, line, bounds, phi1, lens2, second, none, work):  # type: ignore[no-untyped-def]
     """Return x, y, slope of the only crossing of a segment, NaN without one, and the state.
 

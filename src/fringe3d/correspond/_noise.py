@@ -8,9 +8,10 @@ import numpy as np
 from numba import njit
 
 from fringe3d.correspond._phase import INTERPOLATION_WEIGHT
+from fringe3d.kernels import HELPER
 
 
-@njit(cache=True, error_model="numpy", _nrt=False)
+@njit(**HELPER)
 def interpolated(x, y, phase, sigma, alike):  # type: ignore[no-untyped-def]
     """Return the variance of the phase at a place, rad**2, as `phase_difference` interpolates it.
 

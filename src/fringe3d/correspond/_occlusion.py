@@ -7,6 +7,8 @@ import math
 import numpy as np
 from numba import njit
 
+from fringe3d.kernels import HELPER
+
 CELLS = 8
 """For each pixel of the device: its edges of surfaces are known to a tenth of a pixel."""
 
@@ -42,7 +44,7 @@ def look_up(line, behind, found, rows):  # type: ignore[no-untyped-def]
             found[row, col] = behind[k, col]
 
 
-@njit(cache=True, error_model="numpy", _nrt=False)
+@njit(**HELPER)
 def _sample(k, line, place, distance, join_mm, along, across):  # type: ignore[no-untyped-def]
     """Sample one line, number k: where the device sees its points, and how far away they are."""
     n_rows, n_cols = line.shape
@@ -64,7 +66,7 @@ def _sample(k, line, place, distance, join_mm, along, across):  # type: ignore[n
             across[x] = distance[y, x] + part * (distance[y + 1, x] - distance[y, x])
 
 
-@njit(cache=True, error_model="numpy", _nrt=False)
+@njit(**HELPER)
 def _fill(p, q, at_p, at_q, first, nearest):  # type: ignore[no-untyped-def]
     """Enter a piece of a surface, from place p to q, into the cells that it covers."""
     if p > q:
@@ -76,7 +78,7 @@ def _fill(p, q, at_p, at_q, first, nearest):  # type: ignore[no-untyped-def]
         nearest[cell] = min(nearest[cell], at_p + slope * (first + cell / CELLS - p))
 
 
-@njit(cache=True, error_model="numpy", _nrt=False)
+@njit(**HELPER)
 def _enter(along, across, join_mm, first, nearest):  # type: ignore[no-untyped-def]
     """Enter all surfaces of a line; they reach half a pixel of C1 beyond their last sample."""
     nearest[:] = np.inf
@@ -95,7 +97,7 @@ def _enter(along, across, join_mm, first, nearest):  # type: ignore[no-untyped-d
                   first, nearest)  # fmt: skip
 
 
-@njit(cache=True, error_model="numpy", _nrt=False)
+@njit(**HELPER)
 def _faces_away(i, along, across, join_mm):  # type: ignore[no-untyped-def]
     """Tell whether the device sees the surface at a sample run backwards: it sees its back."""
     before, after = along[i], along[i]
@@ -106,7 +108,7 @@ def _faces_away(i, along, across, join_mm):  # type: ignore[no-untyped-def]
     return after < before
 
 
-@njit(cache=True, error_model="numpy", _nrt=False)
+@njit(**HELPER)
 def _way_behind(at, own, first, nearest, margin_px):  # type: ignore[no-untyped-def]
     """Return by how much a sample lies behind what is nearest there, or within the margin."""
     cell = (at - first) * CELLS

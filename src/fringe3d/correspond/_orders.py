@@ -10,6 +10,7 @@ from numba import njit
 from fringe3d import model
 from fringe3d.correspond._curves import DEPTH_STEP, across, curve_point, exact_point, turned
 from fringe3d.correspond._phase import TWO_PI, largest_sigma, phase_difference
+from fringe3d.kernels import HELPER
 
 MODEL_ERROR = 0.0015
 """Periods; what remains of harmonics and interpolation where everything else is perfect."""
@@ -69,7 +70,7 @@ def show(  # type: ignore[no-untyped-def]
     shown[RATIO] = ratio
 
 
-@njit(cache=True, error_model="numpy", _nrt=False)
+@njit(**HELPER)
 def _other_costs(t, i, per_turn, sigma1, along_p, projector, period1, others):  # type: ignore[no-untyped-def]
     """Return what other fringes have against a point of a ray, squared deviations.
 
@@ -227,7 +228,7 @@ def expect(shown, pixels, bias, scatter, expected, spread, sigma, rows):  # type
         sigma[i] = math.sqrt(shown[i, VARIANCE] + spread[i] * spread[i])
 
 
-@njit(cache=True, error_model="numpy", _nrt=False)
+@njit(**HELPER)
 def bias_at(x, y, t, c, middle, scale):  # type: ignore[no-untyped-def]
     """Return the displacement of the point of a pixel at a depth, px, in x and y."""
     u, v = (x - middle[0]) / scale[0], (y - middle[1]) / scale[1]
@@ -238,19 +239,19 @@ def bias_at(x, y, t, c, middle, scale):  # type: ignore[no-untyped-def]
     )
 
 
-@njit(cache=True, error_model="numpy", _nrt=False)
+@njit(**HELPER)
 def _still(u, v, c):  # type: ignore[no-untyped-def]
     """Return a displacement in the middle of the depths, px."""
     return c[0] + c[1] * u + c[2] * v + c[3] * u * u + c[4] * u * v + c[5] * v * v
 
 
-@njit(cache=True, error_model="numpy", _nrt=False)
+@njit(**HELPER)
 def _rise(u, v, c):  # type: ignore[no-untyped-def]
     """Return its rise with the depth, px."""
     return c[6] + c[7] * u + c[8] * v
 
 
-@njit(cache=True, error_model="numpy", _nrt=False)
+@njit(**HELPER)
 def _variance(u, v, covariance):  # type: ignore[no-untyped-def]
     """Return the terms 1, t and t**2 of the displacement's variance along a ray, px**2."""
     still, rise = (1.0, u, v, u * u, u * v, v * v), (1.0, u, v)

@@ -7,6 +7,8 @@ import math
 import numpy as np
 from numba import njit
 
+from fringe3d.kernels import HELPER
+
 TWO_PI = 2.0 * math.pi
 
 INTERPOLATION_WEIGHT = 4.0 / 9.0
@@ -25,7 +27,7 @@ def wrap(angle):  # type: ignore[no-untyped-def]
     return angle - TWO_PI * np.floor(angle * (1 / TWO_PI) + 0.5)
 
 
-@njit(cache=True, error_model="numpy", _nrt=False)
+@njit(**HELPER)
 def phase_difference(x, y, phase1, phase2):  # type: ignore[no-untyped-def]
     """Return phase2 - phase1 at (x, y), rad, wrapped, and the gradient of phase2, rad / px.
 

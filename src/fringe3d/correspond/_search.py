@@ -9,6 +9,7 @@ from numba import njit
 
 from fringe3d.correspond._phase import MAX_JUMP, phase_difference, wrap
 from fringe3d.geometry._lens import project_normalized
+from fringe3d.kernels import HELPER
 
 STEP_PX = 0.5
 """Steps of one pixel lose 0.7 % of the points on steep surfaces."""
@@ -31,7 +32,7 @@ MIN_DEPTH = 1e-6
 FOUND, NONE, SEVERAL, NO_VIEW = 0, 1, 2, 3
 
 
-@njit(cache=True, error_model="numpy", _nrt=False)
+@njit(**HELPER)
 def _difference(x, y, phi1, order1, phase2, order2):  # type: ignore[no-untyped-def]
     """Return phase2 - phi1 at (x, y), rad, wrapped, and whether the order there is order1."""
     difference, _, _ = phase_difference(x, y, phi1, phase2)
@@ -51,7 +52,7 @@ def _difference(x, y, phi1, order1, phase2, order2):  # type: ignore[no-untyped-
     return difference, same
 
 
-@njit(cache=True, error_model="numpy", _nrt=False)
+@njit(**HELPER)
 def _second_fits(x, y, second):  # type: ignore[no-untyped-def]
     """Tell whether the phase of a second direction agrees, too, as far as it is known."""
     phi1, limit, phase2 = second
@@ -61,7 +62,7 @@ def _second_fits(x, y, second):  # type: ignore[no-untyped-def]
     return not abs(residual) > limit
 
 
-@njit(cache=True, error_model="numpy", _nrt=False)
+@njit(**HELPER)
 def segment(base, along, near, far):  # type: ignore[no-untyped-def]
     """Return the ends of the segment on the undistorted plane of C2, where it is straight.
 
@@ -77,14 +78,14 @@ def segment(base, along, near, far):  # type: ignore[no-untyped-def]
     return ax, ay, (base[0] + far * along[0]) / z1, (base[1] + far * along[1]) / z1
 
 
-@njit(cache=True, error_model="numpy", _nrt=False)
+@njit(**HELPER)
 def _point(s, line, lens2):  # type: ignore[no-untyped-def]
     """Return the pixel of C2 at part s of the segment."""
     ax, ay, bx, by = line
     return project_normalized(ax + s * (bx - ax), ay + s * (by - ay), lens2)
 
 
-@njit(cache=True, error_model="numpy", _nrt=False)
+@njit(**HELPER)
 def _find_near(ends, phi1, spans, work):  # type: ignore[no-untyped-def]
     """Mark the steps between two places, on a straight line, where C2 may show a phase.
 
@@ -108,7 +109,7 @@ def _find_near(ends, phi1, spans, work):  # type: ignore[no-untyped-def]
     return some
 
 
-@njit(cache=True, error_model="numpy", _nrt=False)
+@njit(**HELPER)
 def _has_order(cell, class1, order2):  # type: ignore[no-untyped-def]
     """Tell whether one of the four neighbours has a class of orders."""
     if len(order2) == 0:
@@ -118,7 +119,7 @@ def _has_order(cell, class1, order2):  # type: ignore[no-untyped-def]
     return same | (order2[row + 1, col] == class1) | (order2[row + 1, col + 1] == class1)
 
 
-@njit(cache=True, error_model="numpy", _nrt=False)
+@njit(**HELPER)
 def scan(line, n, step_px, phi1, class1, lens2, maps, second, work):  # type: ignore[no-untyped-def]
     """Follow the segment in n steps; return crossings, and place and rise of the first.
 
@@ -169,7 +170,7 @@ def scratch():  # type: ignore[no-untyped-def]
     return np.empty(LENS_STEPS, np.int32), np.empty(LENS_STEPS, np.bool_)
 
 
-@njit(cache=True, error_model="numpy", _nrt=False)
+@njit(**HELPER)
 def refine(where, rise, line, n, phi1, lens2, phase2):  # type: ignore[no-untyped-def]
     """Return the crossing on the exact curve, and the rise of the phase over one step."""
     x, y = _point(where - 0.5 / n, line, lens2)

@@ -20,6 +20,7 @@ from fringe3d.correspond._orders import (
     show,
 )
 from fringe3d.correspond._phase import TWO_PI
+from fringe3d.kernels import HELPER
 from fringe3d.model import Rejection
 
 u2 = np.uint16
@@ -28,7 +29,7 @@ NOTHING = u2(0)
 OUTSIDE_VOLUME, NO_MATCH = u2(Rejection.OUTSIDE_VOLUME), u2(Rejection.NO_MATCH)
 
 
-@njit(cache=True, error_model="numpy", _nrt=False)
+@njit(**HELPER)
 def _judged(shown, moved, scatter, limits):  # type: ignore[no-untyped-def]
     """Return whether C2 sees the phase of C1, and how far around it is searched, periods.
 

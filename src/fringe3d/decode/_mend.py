@@ -5,13 +5,14 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
 from fringe3d.decode._fused import CLEAR, CONTRADICTS, NAN, NONE, PHASE_BINS, TWO_PI, UNSAFE
+from fringe3d.kernels import HELPER
 
 f4, i4 = np.float32, np.int32
 
@@ -20,9 +21,6 @@ FAR = i4(1 << 20)
 """Rows; farther than any image is high."""
 
 HALF = f4(0.5)
-
-COMPILED: dict[str, Any] = {"cache": True, "error_model": "numpy", "_nrt": False}
-"""They make no arrays; counting who uses those that they are given would cost half of the time."""
 
 
 class Meaning(NamedTuple):
@@ -60,7 +58,7 @@ def nearest_rows(order, cells, left, right, nearest):  # type: ignore[no-untyped
             nearest[row, left + x] = last[x] if last[x] - i4(row) < i4(row) - above else above
 
 
-@njit(**COMPILED)
+@njit(**HELPER)
 def nearest_column(nearest, row, col):  # type: ignore[no-untyped-def]
     """Return the column that holds the nearest safe pixel; the left one of two.
 
@@ -82,7 +80,7 @@ def nearest_column(nearest, row, col):  # type: ignore[no-untyped-def]
     return found
 
 
-@njit(**COMPILED)
+@njit(**HELPER)
 def _continued(maps, meaning, row, col, near_row, near_col):  # type: ignore[no-untyped-def]
     """Return the class that continues the phase of a safe pixel."""
     index = maps.order[near_row, near_col] - meaning.first_order
@@ -94,7 +92,7 @@ def _continued(maps, meaning, row, col, near_row, near_col):  # type: ignore[no-
     return maps.order[near_row, near_col]
 
 
-@njit(**COMPILED)
+@njit(**HELPER)
 def _mend_row(maps, meaning, nearest, any_safe, row):  # type: ignore[no-untyped-def]
     """Decide the unsafe pixels of a row; return how many have another order than their word."""
     n_corrected = 0

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -81,15 +81,6 @@ class Probes:
         identity, near = RigidTransform.identity(), near_mm or self.near_mm
         return (self._one_way(b, a_from_b, a, identity, near)
                 + self._one_way(a, identity, b, a_from_b, near))  # fmt: skip
-
-    def all_pairs(
-        self, pairs: Iterable[tuple[int, int]], poses: dict[int, RigidTransform], /
-    ) -> Agreement:
-        """Tell how views at their places agree, all pairs together."""
-        total = Agreement()
-        for a, b in pairs:
-            total += self.pair(a, b, poses[a].inverse() @ poses[b])
-        return total
 
     def _one_way(
         self, own: int, pose: RigidTransform, other: int, at: RigidTransform, near_mm: float
