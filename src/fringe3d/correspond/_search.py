@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numba import njit
 
-from fringe3d.correspond._phase import MAX_JUMP, phase_difference, wrap
+from fringe3d.correspond._phase import MAX_JUMP, TWO_PI, phase_difference, wrap
 from fringe3d.geometry._lens import project_normalized
 from fringe3d.kernels import HELPER
 
@@ -120,6 +120,23 @@ def _has_order(cell, class1, order2):  # type: ignore[no-untyped-def]
 
 
 @njit(**HELPER)
+def _difference_near(x, y, phi1, class1, phase2, order2):  # type: ignore[no-untyped-def]
+    """Return phase2 - phi1 at (x, y), rad, wrapped; NaN where the nearest pixel tells that no
+    crossing can be within one step: it shows another surface."""
+    col, row = int(x + 0.5), int(y + 0.5)
+    if not (0 <= col < phase2.shape[1] and 0 <= row < phase2.shape[0]):
+        return np.nan
+    away = abs(phase2[row, col] - phi1)  # NaN: a hole of one pixel may hide a crossing
+    # In the same period, or in the next of the same class; else in the neighbouring one.
+    if len(order2) == 0 or order2[row, col] == class1:
+        if min(away, TWO_PI - away) > MAX_JUMP:
+            return np.nan
+    elif TWO_PI - away > MAX_JUMP:
+        return np.nan
+    return phase_difference(x, y, phi1, phase2)[0]
+
+
+@njit(**HELPER)
 def scan(line, n, step_px, phi1, class1, lens2, maps, second, work):  # type: ignore[no-untyped-def]
     """Follow the segment in n steps; return crossings, and place and rise of the first.
 
@@ -147,8 +164,8 @@ def scan(line, n, step_px, phi1, class1, lens2, maps, second, work):  # type: ig
             is_near = near[k - first] and _has_order(cells[k - first], class1, order2)
             if is_near or was_near:
                 if not is_known:
-                    r_before, _, _ = phase_difference(x_before, y_before, phi1, phase2)
-                r, _, _ = phase_difference(x, y, phi1, phase2)
+                    r_before = _difference_near(x_before, y_before, phi1, class1, phase2, order2)
+                r = _difference_near(x, y, phi1, class1, phase2, order2)
                 if r_before * r <= 0 and abs(r - r_before) < MAX_JUMP and r != 0:
                     at = (k - 1 + r_before / (r_before - r)) / n
                     x_hit, y_hit = _point(at, line, lens2)
