@@ -338,6 +338,17 @@ def test_a_mesh_of_a_ball_is_closed_and_keeps_its_volume(kind: str) -> None:
 # Edges
 
 
+def test_holes_all_over_are_no_edges() -> None:
+    """As from Gray code alone, where one pixel stands for several."""
+    (view,), _ = ball_views((0,), sigma_mm=0.005, seed=3)
+    sparse = view.points_mm.copy()
+    sparse[np.random.default_rng(3).random(view.camera.shape) < 0.1] = np.nan
+    holed = surface_view("holed", view.camera, sparse, view.sigma_mm)
+    whole, edge = split_edges(holed)
+    assert not len(edge.pixels)
+    np.testing.assert_array_equal(whole.is_valid, holed.is_valid)
+
+
 def test_points_beside_edges_fill_what_no_view_saw_better() -> None:
     """Balls in closed form: two pixels at each border count only where nothing else covers."""
     views, true = ball_views((0, 40, 80), sigma_mm=0.005, seed=3)
