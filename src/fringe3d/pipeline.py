@@ -128,12 +128,8 @@ def measure(
             phases = best_direction_first(phases, *_devices(scan.rig, stacks, choice.method))
     main = phases[0].directions[0].main
     choice = settle(choice, main, scan.rig, volume, options)
-    result = Measurement(
-        method=choice.method,
-        why=choice.why,
-        n_images=stacks[0].plan.n_images,
-        phases=phases,
-    )
+    result = Measurement(method=choice.method, why=choice.why, phases=phases,
+                         n_images=stacks[0].plan.n_images)  # fmt: skip
     if scan.rig is None:
         return _finish(replace(result, findings=tuple(of_images())), clock)
 

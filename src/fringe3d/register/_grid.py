@@ -7,11 +7,31 @@ import math
 import numpy as np
 from numba import njit
 
+from fringe3d.kernels import HELPER
+
 RADIUS = 2
 """Normals are those of planes through windows of 5 x 5 pixels."""
 
 LEAST = 6
 """Points of a window that must belong to the surface."""
+
+
+@njit(**HELPER)
+def _across_plane(n, steps, p, x, y):  # type: ignore[no-untyped-def]
+    """Return a vector across the plane through n neighbours, zero where they lie on a line.
+
+    steps: sums of dx, dy, dx dx, dx dy and dy dy over the neighbours; p, x, y (3,): sums of their
+    places, and of dx and dy times these.
+    """
+    sx, sy, sxx, sxy, syy = steps
+    cxx, cxy, cyy = sxx - sx * sx / n, sxy - sx * sy / n, syy - sy * sy / n
+    if not cxx * cyy - cxy * cxy > 0.5 * n:
+        return 0.0, 0.0, 0.0
+    x0, x1, x2 = x[0] - sx * p[0] / n, x[1] - sx * p[1] / n, x[2] - sx * p[2] / n
+    y0, y1, y2 = y[0] - sy * p[0] / n, y[1] - sy * p[1] / n, y[2] - sy * p[2] / n
+    u0, u1, u2 = cyy * x0 - cxy * y0, cyy * x1 - cxy * y1, cyy * x2 - cxy * y2
+    v0, v1, v2 = cxx * y0 - cxy * x0, cxx * y1 - cxy * x1, cxx * y2 - cxy * x2
+    return u1 * v2 - u2 * v1, u2 * v0 - u0 * v2, u0 * v1 - u1 * v0
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -57,18 +77,9 @@ def grid_normals(points, center, reach, normals, rows):  # type: ignore[no-untyp
                     y2 += dy * d
             if n < LEAST:
                 continue
-            cxx, cxy, cyy = sxx - sx * sx / n, sxy - sx * sy / n, syy - sy * sy / n
-            if not cxx * cyy - cxy * cxy > 0.5 * n:
-                continue
-            x0 -= sx * p0 / n
-            x1 -= sx * p1 / n
-            x2 -= sx * p2 / n
-            y0 -= sy * p0 / n
-            y1 -= sy * p1 / n
-            y2 -= sy * p2 / n
-            u0, u1, u2 = cyy * x0 - cxy * y0, cyy * x1 - cxy * y1, cyy * x2 - cxy * y2
-            v0, v1, v2 = cxx * y0 - cxy * x0, cxx * y1 - cxy * x1, cxx * y2 - cxy * x2
-            n0, n1, n2 = u1 * v2 - u2 * v1, u2 * v0 - u0 * v2, u0 * v1 - u1 * v0
+            n0, n1, n2 = _across_plane(
+                n, (sx, sy, sxx, sxy, syy), (p0, p1, p2), (x0, x1, x2), (y0, y1, y2)
+            )
             length = math.sqrt(n0 * n0 + n1 * n1 + n2 * n2)
             if not length > 0:
                 continue
