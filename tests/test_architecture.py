@@ -57,17 +57,19 @@ ALLOWED: dict[str, set[str]] = {
     # Points of cameras and projector: it weighs the noise of phases and places.
     "combining": NOUNS | {"correspond", "geometry", "patterns"},
     "reflections": NOUNS | {"combining", "decode", "triangulate"},
+    # What the cameras show, and by which method points are made of it.
+    "decoding": NOUNS | {"decode", "health", "kernels", "matching", "methods", "options"},
     "pipeline": NOUNS
     | {
         "combining",
         "reflections",
         "decode",
+        "decoding",
         "correspond",
         "health",
         "kernels",
         "matching",
         "measurement",
-        "methods",
         "options",
         "devices_moved",
         "segments",
@@ -76,7 +78,7 @@ ALLOWED: dict[str, set[str]] = {
     # It looks at the images, then measures as often as the question needs.
     "diagnosis": NOUNS | {"health", "options", "pipeline"},
     # It keeps what depends on the rig in a file.
-    "session": NOUNS | {"correspond", "io", "options", "pipeline"},
+    "session": NOUNS | {"correspond", "decoding", "io", "options", "pipeline"},
     # What recordings tell of a rig: it decodes and solves as a measurement does.
     "rig_bias": NOUNS | {"correspond", "decode", "matching", "options"},
     # Orders that a moved rig does not tell: it weighs them as a measurement does.
@@ -101,7 +103,7 @@ ALLOWED: dict[str, set[str]] = {
     # It judges frames as health does, and knows from the rig which way fringes must move.
     "acquire": NOUNS | {"devices", "geometry", "health", "patterns"},
     # Cameras, measurement and what they show, all at once.
-    "live": NOUNS | {"acquire", "decode", "devices", "patterns", "pipeline", "session"},
+    "live": NOUNS | {"acquire", "decode", "decoding", "devices", "patterns", "pipeline", "session"},
     "report": NOUNS
     | {
         "calibrate",
@@ -215,7 +217,8 @@ def test_the_table_has_no_cycle() -> None:
 
 
 def test_estimator_and_simulator_are_strangers() -> None:
-    estimator = {"decode", "correspond", "matching", "methods", "triangulate", "health", "pipeline"}
+    estimator = {"decode", "decoding", "correspond", "matching", "methods", "triangulate",
+                 "health", "pipeline"}  # fmt: skip
     assert all("simulate" not in ALLOWED[name] for name in estimator)
     assert not ALLOWED["simulate"] & estimator
 

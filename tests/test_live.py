@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -19,7 +20,7 @@ from fringe3d.errors import MethodError
 from fringe3d.io.rigfile import rig_text
 from fringe3d.io.scanfile import plan_text
 from fringe3d.io.scanfolder import write_scan
-from fringe3d.live import Live, Moment, SlidingWindow, measuring, running
+from fringe3d.live import Live, Moment, SlidingWindow, Steps, measuring, running
 from fringe3d.model import ImageStack, PatternPlan
 from fringe3d.model.plan import fringes
 from fringe3d.options import MeasureOptions
@@ -59,46 +60,66 @@ def test_after_a_lost_image_no_old_one_is_mixed_in() -> None:
 def test_while_one_sequence_is_measured_older_ones_that_wait_are_dropped(
     recording: Recording,
 ) -> None:
-    """The first measurement waits until ten images are there; then the newest is taken."""
-    all_came, first_begun = threading.Event(), threading.Event()
+    """The first measurement waits until ten images are there, the second sequence is decoded
+    meanwhile; then the newest is taken."""
+    all_came, first_begun, second_decoded = (threading.Event() for _ in range(3))
 
     def moments() -> Iterator[Moment]:
         for number in range(4):
             yield moment(number)
         first_begun.wait(10)
-        for number in range(4, 10):
+        yield moment(4)
+        second_decoded.wait(10)
+        for number in range(5, 10):
             yield moment(number)
         all_came.set()
 
-    measured, result = [], measure(recording[0])
+    decoded, result = [], measure(recording[0])
 
-    def slow(stacks: tuple[ImageStack, ...], *_: object) -> Measurement:
-        measured.append(seen(stacks))
+    def decode(stacks: tuple[ImageStack, ...], _: tuple[int, ...]) -> Any:
+        decoded.append(seen(stacks))
+        if len(decoded) == 2:
+            second_decoded.set()
+        return decoded[-1]
+
+    measured = []
+
+    def slow(shown: Any, _: Measurement | None) -> Measurement:
+        measured.append(shown)
         first_begun.set()
         all_came.wait(10)
         return result
 
-    figures = Live(moments(), SlidingWindow(PLAN, INFOS), slow, SystemClock()).run(lambda *_: None)
-    assert measured == [[0, 1, 2, 3], [8, 9, 6, 7]]
-    assert (figures.moments, figures.clouds, figures.dropped, figures.lost) == (10, 2, 5, 0)
+    loop = Live(moments(), SlidingWindow(PLAN, INFOS), Steps(decode, slow), SystemClock())
+    figures = loop.run(lambda *_: None)
+    assert measured == decoded == [[0, 1, 2, 3], [4, 1, 2, 3], [8, 9, 6, 7]]
+    assert (figures.moments, figures.clouds, figures.dropped, figures.lost) == (10, 3, 4, 0)
 
 
 def test_a_sequence_without_a_cloud_does_not_end_the_loop_and_a_lost_camera_does() -> None:
-    def refuse(*_: object) -> Measurement:
+    def refuse(*_: object) -> Any:
         raise MethodError("nothing to see")
 
-    figures = Live(map(moment, range(6)), SlidingWindow(PLAN, INFOS), refuse, SystemClock()).run(
-        lambda *_: None
-    )
-    assert figures.failed + figures.dropped == 3
-    assert figures.clouds == 0
+    for steps in (Steps(refuse, refuse), Steps(lambda stacks, _: stacks, refuse)):  # type: ignore[arg-type, return-value]
+        loop = Live(map(moment, range(6)), SlidingWindow(PLAN, INFOS), steps, SystemClock())
+        figures = loop.run(lambda *_: None)
+        assert figures.failed + figures.dropped == 3
+        assert figures.clouds == 0
 
     def broken() -> Iterator[Moment]:
         yield moment(0)
         raise MethodError("gone")
 
     with pytest.raises(MethodError, match="gone"):
-        Live(broken(), SlidingWindow(PLAN, INFOS), refuse, SystemClock()).run(lambda *_: None)
+        Live(broken(), SlidingWindow(PLAN, INFOS), steps, SystemClock()).run(lambda *_: None)
+
+    def breaks(*_: object) -> Any:
+        raise ZeroDivisionError
+
+    loop = Live(map(moment, range(6)), SlidingWindow(PLAN, INFOS), Steps(breaks, refuse),
+                SystemClock())  # fmt: skip
+    with pytest.raises(ZeroDivisionError):  # a fault of our own is not counted, but told
+        loop.run(lambda *_: None)
 
 
 def test_live_clouds_are_those_of_the_scan(recording: Recording) -> None:

@@ -10,15 +10,8 @@ from numpy.typing import NDArray
 
 from fringe3d.combining import combined
 from fringe3d.correspond import twin_share
-from fringe3d.decode import (
-    CameraPhases,
-    centred_camera,
-    decode,
-    decode_apart,
-    filtered_camera,
-    response_from_fringes,
-    without_saturated,
-)
+from fringe3d.decode import CameraPhases
+from fringe3d.decoding import Decoded, decoded
 from fringe3d.devices_moved import check_moved
 from fringe3d.errors import CalibrationError, EmptyResultError, Fringe3DError, MethodError
 from fringe3d.health import (
@@ -27,8 +20,6 @@ from fringe3d.health import (
     check_bias,
     check_epipolar,
     check_evidence,
-    check_files,
-    check_phases,
     check_previous,
     check_probability,
     check_texture,
@@ -37,13 +28,11 @@ from fringe3d.health import (
     check_yield,
 )
 from fringe3d.kernels import alongside
-from fringe3d.matching import Matched, best_direction_first, followed, match
+from fringe3d.matching import Matched, followed, match
 from fringe3d.measurement import Measurement, StageClock, point_cloud
-from fringe3d.methods import choose_method, images_of, settle
 from fringe3d.model import (
     Correspondences,
     Device,
-    ImageStack,
     MeasuringVolume,
     PhaseMap,
     PointMap,
@@ -51,7 +40,7 @@ from fringe3d.model import (
     Scan,
 )
 from fringe3d.model.rejection import count_by_reason
-from fringe3d.options import MeasureOptions, keep_images, volume_of
+from fringe3d.options import MeasureOptions
 from fringe3d.reflections import without_reflections
 from fringe3d.segments import angles_without_code
 from fringe3d.triangulate import (
@@ -64,7 +53,7 @@ from fringe3d.triangulate import (
     typical_gap_mm,
 )
 
-__all__ = ["MeasureOptions", "Measurement", "measure", "point_cloud"]
+__all__ = ["MeasureOptions", "Measurement", "measure", "measure_decoded", "point_cloud"]
 
 GAP_FACTOR = 10.0
 """Neighbouring pixels belong to one surface up to ten typical distances: slopes up to 84 deg."""
@@ -115,27 +104,32 @@ def measure(
     """
     options = options or MeasureOptions()
     clock = StageClock(stage)
-    stacks = [keep_images(stack, options) for stack in scan.stacks]
-    choice = choose_method(scan.rig, stacks, options)
-    volume = volume_of(scan.rig, stacks[0].device_name, options)
-    stacks = [images_of(choice, stack, scan.rig, volume, options) for stack in stacks]
-
     with clock("decoding"):
-        stacks, phases = _decoded(stacks, scan.rig, choice.method, options)
-        of_images = alongside(_check_images, stacks, phases)
-        phases = _filtered(phases, options)
-        if scan.rig is not None and choice.method != "projector":
-            phases = best_direction_first(phases, *_devices(scan.rig, stacks, choice.method))
-    main = phases[0].directions[0].main
-    choice = settle(choice, main, scan.rig, volume, options)
+        shown = decoded(scan, options)
+    return measure_decoded(shown, options, clock=clock, previous_mm=previous_mm,
+                           previous_phases=previous_phases)  # fmt: skip
+
+
+def measure_decoded(
+    shown: Decoded,
+    options: MeasureOptions,
+    /,
+    *,
+    clock: StageClock | None = None,
+    previous_mm: NDArray[np.float64] | None = None,
+    previous_phases: Sequence[CameraPhases] = (),
+) -> Measurement:
+    """Measure what is decoded already; as `measure`."""
+    clock, phases = clock or StageClock(str), shown.phases
+    choice, volume, main = shown.choice, shown.volume, shown.main
     result = Measurement(method=choice.method, why=choice.why, phases=phases,
-                         n_images=stacks[0].plan.n_images)  # fmt: skip
-    if scan.rig is None:
-        return _finish(replace(result, findings=tuple(of_images())), clock)
+                         n_images=shown.n_images)  # fmt: skip
+    if shown.rig is None:
+        return _finish(replace(result, findings=tuple(shown.findings())), clock)
 
     _require_previous(previous_mm, main, choice.method, options)
-    camera, other = _devices(scan.rig, stacks, choice.method)
-    rig, projector = _with_own_bias(scan.rig, camera, other), scan.rig.projector
+    camera, other = shown.devices()
+    rig, projector = _with_own_bias(shown.rig, camera, other), shown.rig.projector
     method = choice.method
     if options.follow:
         phases, method = followed(phases, other, projector, previous_mm, previous_phases), "m1"
@@ -144,7 +138,7 @@ def measure(
     with clock("finding correspondences"):
         matched = match(phases, camera, other, projector, volume, method=method,
                         options=options, bias=rig.bias, previous_mm=previous_mm,
-                        cameras=_further_cameras(rig, stacks))  # fmt: skip
+                        cameras=_further_cameras(rig, phases))  # fmt: skip
         matches = matched.matches
         findings = _check_orders(matched, main, rig, volume, method)
         if previous_mm is not None and projector is not None and not options.follow:
@@ -155,7 +149,7 @@ def measure(
         points = _triangulated(matched, camera, other, volume)
         points = _with_projector(points, matches, phases, camera, other, projector, options)
     with clock("checking"):
-        findings = [*of_images(), *findings, *check_epipolar(matches), *check_yield(points)]
+        findings = [*shown.findings(), *findings, *check_epipolar(matches), *check_yield(points)]
         findings += of_texture()
         if is_checked:
             findings += _check_devices(findings, phases, matches, points, (camera, other), rig)
@@ -201,37 +195,6 @@ def _with_projector(
         second = phases[1].directions[0].like(maps[0])
         points, _ = combined(points, matches, maps, second, (camera, other), projector)
     return points
-
-
-def _decoded(
-    stacks: list[ImageStack], rig: Rig | None, method: str, options: MeasureOptions
-) -> tuple[list[ImageStack], tuple[CameraPhases, ...]]:
-    """Decode all cameras, without saturated steps where enough others are left."""
-    used = [
-        without_saturated(s.with_response(response_from_fringes(s)) if options.own_response else s)
-        for s in stacks
-    ]
-    return used, tuple(_decode(stack, rig, method, options) for stack in used)
-
-
-def _filtered(
-    phases: tuple[CameraPhases, ...], options: MeasureOptions
-) -> tuple[CameraPhases, ...]:
-    """Return the phases filtered, and at pixel centres; the first camera is looked at in its
-    pixels alone."""
-    found, blur = [], options.blur_px
-    for i, camera in enumerate(phases):
-        smooth = filtered_camera(camera, options.filter, is_first=i == 0)
-        if blur is not None:
-            smooth = centred_camera(smooth, blur_px=blur, is_first=i == 0)
-        found.append(smooth)
-    return tuple(found)
-
-
-def _check_images(
-    stacks: Sequence[ImageStack], phases: Sequence[CameraPhases]
-) -> Sequence[Finding]:
-    return [*check_files(stacks), *check_phases(phases)]
 
 
 def _check_texture(
@@ -292,15 +255,6 @@ def _with_own_bias(rig: Rig, camera: Device, other: Device) -> Rig:
     return rig if is_own else replace(rig, bias=None)
 
 
-def _devices(rig: Rig, stacks: Sequence[ImageStack], method: str) -> tuple[Device, Device]:
-    cameras = {camera.name: camera for camera in rig.cameras}
-    camera = cameras[stacks[0].device_name]
-    if method == "projector":
-        assert rig.projector is not None
-        return camera, rig.projector
-    return camera, cameras[stacks[1].device_name]
-
-
 def _require_previous(
     previous_mm: NDArray[np.float64] | None, main: PhaseMap, method: str, options: MeasureOptions
 ) -> None:
@@ -319,24 +273,9 @@ def _require_previous(
         )
 
 
-def _further_cameras(rig: Rig, stacks: Sequence[ImageStack]) -> list[Device]:
+def _further_cameras(rig: Rig, phases: Sequence[CameraPhases]) -> list[Device]:
     cameras = {camera.name: camera for camera in rig.cameras}
-    return [cameras[stack.device_name] for stack in stacks[2:]]
-
-
-def _decode(
-    stack: ImageStack, rig: Rig | None, method: str, options: MeasureOptions
-) -> CameraPhases:
-    """Decode one camera; two directions of Gray code alone give the projector's whole pixels."""
-    shape = rig.projector.shape if rig is not None and rig.projector is not None else None
-    if method == "m6":
-        return decode_apart(stack, shape, min_modulation_dn=options.min_modulation_dn)
-    return decode(
-        stack,
-        shape,
-        min_modulation_dn=options.min_modulation_dn,
-        whole_cells=method == "projector" and len(stack.plan.angles) > 1,
-    )
+    return [cameras[seen.directions[0].main.device_name] for seen in phases[2:]]
 
 
 def _clean(

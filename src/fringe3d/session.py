@@ -9,11 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fringe3d.correspond import keep_curves
+from fringe3d.decoding import Decoded, decoded
 from fringe3d.errors import CalibrationError, EmptyResultError, MethodError
 from fringe3d.io.cache import mapped
 from fringe3d.model import ImageStack, PatternPlan, Rig, Scan
 from fringe3d.options import MeasureOptions
-from fringe3d.pipeline import Measurement, measure
+from fringe3d.pipeline import Measurement, measure_decoded
 
 LEAST_FOLLOWED = 0.9
 """Part of the points before that must be found again."""
@@ -65,18 +66,43 @@ class Session:
         keep: bool = True,
     ) -> None:
         self.rig, self.plan, self.options = rig, plan, options or MeasureOptions()
-        self._rig_of_frames = None if rig is None else replace(rig, bias=None)
         if keep:
             keep_curves(mapped)
 
+    def decode(self, stacks: Sequence[ImageStack], /) -> Decoded:
+        """Decode what one recording shows: the part of `measure` that needs no frame before.
+
+        Parameters
+        ----------
+        stacks : sequence of ImageStack, one for each camera; the first is C1
+
+        Raises
+        ------
+        MethodError
+            If the images follow another plan, or plan and rig do not support the method.
+        """
+        for stack in stacks:
+            if stack.plan != self.plan:
+                raise MethodError(
+                    f"session: expected images of the plan that it was made for, "
+                    f"{self.plan.n_images} patterns, found another plan of {stack.plan.n_images} "
+                    f"for camera '{stack.device_name}'. Make a session for each plan"
+                )
+        return decoded(Scan(stacks=tuple(stacks), rig=self.rig), self.options)
+
     def measure(
-        self, stacks: Sequence[ImageStack], /, *, previous_mm: NDArray[np.float64] | None = None
+        self,
+        shown: Sequence[ImageStack] | Decoded,
+        /,
+        *,
+        previous_mm: NDArray[np.float64] | None = None,
     ) -> Measurement:
         """Measure what one recording shows.
 
         Parameters
         ----------
-        stacks : sequence of ImageStack, one for each camera; the first is C1
+        shown : sequence of ImageStack, one for each camera, the first is C1; or what `decode` made
+            of them
         previous_mm : (row, col, 3) float, mm, or None; points of the frame before, as evidence
             for M6
 
@@ -87,21 +113,13 @@ class Session:
         Raises
         ------
         MethodError
-            If the images follow another plan, or plan and rig do not support the method.
+            As `decode`.
         CalibrationError, EmptyResultError
             As `fringe3d.pipeline.measure`.
         """
-        for stack in stacks:
-            if stack.plan != self.plan:
-                raise MethodError(
-                    f"session: expected images of the plan that it was made for, "
-                    f"{self.plan.n_images} patterns, found another plan of {stack.plan.n_images} "
-                    f"for camera '{stack.device_name}'. Make a session for each plan"
-                )
-        scan = Scan(stacks=tuple(stacks), rig=self.rig)
-        return measure(scan, self.options, previous_mm=previous_mm)
+        return measure_decoded(self._decoded(shown), self.options, previous_mm=previous_mm)
 
-    def follow(self, stacks: Sequence[ImageStack], before: Measurement, /) -> Measurement:
+    def follow(self, shown: Sequence[ImageStack] | Decoded, before: Measurement, /) -> Measurement:
         """Measure what one recording shows, a moment after another.
 
         The fringe orders go on from the points before, and both cameras must agree on them, as on
@@ -113,7 +131,7 @@ class Session:
 
         Parameters
         ----------
-        stacks : sequence of ImageStack, one for each camera; the first is C1
+        shown : sequence of ImageStack or Decoded; as in `measure`
         before : Measurement; what `measure` or `follow` gave for the recording before
 
         Returns
@@ -125,20 +143,24 @@ class Session:
         MethodError, CalibrationError, EmptyResultError
             As `measure`.
         """
+        shown = self._decoded(shown)
         is_of_use = before.points is not None and before.bias is not None
-        if self.rig is None or not is_of_use or before.method not in FOLLOWING:
-            return self.measure(stacks)
+        if shown.rig is None or not is_of_use or before.method not in FOLLOWING:
+            return self.measure(shown)
         assert before.points is not None
         try:
-            found = measure(
-                Scan(stacks=tuple(stacks), rig=self._rig_of_frames),
+            found = measure_decoded(
+                replace(shown, rig=replace(shown.rig, bias=None)),
                 replace(self.options, follow=True),
                 previous_mm=before.points.points_mm,
                 previous_phases=before.phases if before.main.is_absolute else (),
             )
         except (CalibrationError, EmptyResultError):
-            return self.measure(stacks)
-        return found if self._goes_on(found, before) else self.measure(stacks)
+            return self.measure(shown)
+        return found if self._goes_on(found, before) else self.measure(shown)
+
+    def _decoded(self, shown: Sequence[ImageStack] | Decoded) -> Decoded:
+        return shown if isinstance(shown, Decoded) else self.decode(shown)
 
     def _goes_on(self, found: Measurement, before: Measurement) -> bool:
         """Tell whether as many points are found as before, and with the same bias."""

@@ -72,12 +72,12 @@ def run_live(
     rig = read_rig(options.rig)
     with _stream(options, rig, clock, reporter) as stream, ExitStack() as closing:
         session = Session(rig, stream.plan, options.measuring)
-        measure = measuring(
+        steps = measuring(
             session, uses_previous=options.measuring.method == "m6", still=options.still,
             renew=options.renew,
         )  # fmt: skip
         window = SlidingWindow(stream.plan, stream.infos)
-        loop = Live(stream.moments, window, measure, clock)
+        loop = Live(stream.moments, window, steps, clock)
         try:
             show = _shower(options, rig, closing, tell, reporter)
             loop.run(show, most_clouds=options.clouds)

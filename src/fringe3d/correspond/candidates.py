@@ -50,8 +50,9 @@ SEARCH_TURNS = (0.2, 0.45)
 
 LEAST_RATIO = 0.5
 
-ABSOLUTE_STRIDE = (4, 4)
-"""Steps of the pixels from which the bias is learnt where the code leaves nothing to choose."""
+ABSOLUTE_SAMPLE, LEAST_ABSOLUTE_STEP = 6_000, 4
+"""Pixels from which the bias is learnt where the code leaves nothing to choose, and the least step
+between them: neighbours err alike."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -295,7 +296,11 @@ def _coarse_task(
 ) -> Task:
     """Return the task of a part of the pixels, along which the phase can be continued."""
     phases1 = views.phases1
-    stride = ABSOLUTE_STRIDE if phases1.is_absolute else coarse_stride(phases1.phase)
+    if phases1.is_absolute:
+        step = max(LEAST_ABSOLUTE_STEP, round((phases1.phase.size / ABSOLUTE_SAMPLE) ** 0.5))
+        stride = step, step
+    else:
+        stride = coarse_stride(phases1.phase)
     return Task(views, projector, volume, fit_sigma**2, together, stride)
 
 

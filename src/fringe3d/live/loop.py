@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import threading
 from collections import deque
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import count
 
 import numpy as np
 
 from fringe3d.decode import stilled
+from fringe3d.decoding import Decoded
 from fringe3d.devices import Clock
 from fringe3d.errors import Fringe3DError
 from fringe3d.live.window import Moment, SlidingWindow
@@ -64,26 +67,46 @@ class _Job:
     newest: Moment
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Ready:
+    job: _Job
+    stacks: tuple[ImageStack, ...]
+    shown: Decoded
+
+
 Show = Callable[[Measurement, tuple[ImageStack, ...], Figures], None]
-Measure = Callable[[tuple[ImageStack, ...], tuple[int, ...], Measurement | None], Measurement]
+
+
+@dataclass(frozen=True, slots=True)
+class Steps:
+    """What is done with a sequence, the first while the one before is in the second.
+
+    Parameters
+    ----------
+    decode : function of the stacks and the times of their images
+    measure : function of what was decoded, and of the measurement before (or None)
+    """
+
+    decode: Callable[[tuple[ImageStack, ...], tuple[int, ...]], Decoded]
+    measure: Callable[[Decoded, Measurement | None], Measurement]
 
 
 class Live:
-    """Images in, clouds out: one thread listens to the cameras, the caller's measures and shows.
+    """Images in, clouds out: one thread listens to the cameras, one decodes the newest sequence
+    while the caller's measures and shows the one before.
 
     Parameters
     ----------
     moments : iterable of Moment; listened to in a thread of its own
     window : SlidingWindow; with each new image there is a sequence to measure
-    measure : function of the stacks, the times of their images, and the measurement before (or
-        None)
+    steps : Steps
     clock : Clock
     """
 
     def __init__(
-        self, moments: Iterable[Moment], window: SlidingWindow, measure: Measure, clock: Clock, /
+        self, moments: Iterable[Moment], window: SlidingWindow, steps: Steps, clock: Clock, /
     ) -> None:
-        self._moments, self._window, self._measure = moments, window, measure
+        self._moments, self._window, self._steps = moments, window, steps
         self._clock = clock
         self._waiting = deque[_Job](maxlen=WAITING)
         self._news = threading.Condition()
@@ -124,19 +147,21 @@ class Live:
         listener = threading.Thread(target=self._listen, daemon=True)
         listener.start()
         before: Measurement | None = None
-        try:
-            while (job := self._next_job()) is not None:
-                stacks = self._window.stacks(job.ordered)
-                result = self._measured(job, stacks, before)
-                if result is None:
-                    continue
-                before = result
-                show(result, stacks, self.figures)
-                if most_clouds is not None and self._count["clouds"] >= most_clouds:
-                    break
-        finally:
-            self._stop.set()
-            listener.join(timeout=5.0)
+        with ThreadPoolExecutor(1, thread_name_prefix="decoding") as pool:
+            try:
+                ahead = pool.submit(self._decode_newest)
+                while (ready := ahead.result()) is not None:
+                    ahead = pool.submit(self._decode_newest)
+                    result = self._measured(ready, before)
+                    if result is None:
+                        continue
+                    before = result
+                    show(result, ready.stacks, self.figures)
+                    if most_clouds is not None and self._count["clouds"] >= most_clouds:
+                        break
+            finally:
+                self._stop.set()
+        listener.join(timeout=5.0)
         if self._problem is not None:
             raise self._problem
         return self.figures
@@ -168,37 +193,51 @@ class Live:
             self._waiting.append(job)
             self._news.notify()
 
+    def _decode_newest(self) -> _Ready | None:
+        """Wait for a sequence, and decode it; None where there will be no more."""
+        while (job := self._next_job()) is not None:
+            stacks = self._window.stacks(job.ordered)
+            times = tuple(moment.number for moment in job.ordered)
+            with self._counting_failures():
+                return _Ready(job=job, stacks=stacks, shown=self._steps.decode(stacks, times))
+        return None
+
     def _next_job(self) -> _Job | None:
         """Return the newest sequence; older ones that wait are dropped."""
         with self._news:
-            while not self._waiting:
-                if self._is_over or self._stop.is_set():
-                    return None
+            while not self._waiting and not self._is_over and not self._stop.is_set():
                 self._news.wait(IDLE_S)
+            if self._stop.is_set() or not self._waiting:
+                return None
             job = self._waiting.pop()
             self._count["dropped"] += len(self._waiting)
             self._waiting.clear()
         return job
 
-    def _measured(
-        self, job: _Job, stacks: tuple[ImageStack, ...], before: Measurement | None
-    ) -> Measurement | None:
-        times = tuple(moment.number for moment in job.ordered)
+    @contextmanager
+    def _counting_failures(self) -> Iterator[None]:
+        """Count a sequence that gives no cloud; a hand before the lens is no reason to end."""
         try:
-            result = self._measure(stacks, times, before)
-        except Fringe3DError:  # a hand before the lens is no reason to end
+            yield
+        except Fringe3DError:
             self._count["failed"] += 1
+
+    def _measured(self, ready: _Ready, before: Measurement | None) -> Measurement | None:
+        result = None
+        with self._counting_failures():
+            result = self._steps.measure(ready.shown, before)
+        if result is None:
             return None
         if not self._count["clouds"]:
             self._first_s = self._clock.now()
         self._count["clouds"] += 1
-        self._latencies.append(self._clock.now() - job.newest.time_s)
+        self._latencies.append(self._clock.now() - ready.job.newest.time_s)
         return result
 
 
 def measuring(
     session: Session, /, *, uses_previous: bool = False, still: bool = False, renew: int = 1
-) -> Measure:
+) -> Steps:
     """Return how a session measures a stream.
 
     Parameters
@@ -211,13 +250,13 @@ def measuring(
     """
     numbers = count()
 
-    def measure(
-        stacks: tuple[ImageStack, ...], times: tuple[int, ...], before: Measurement | None
-    ) -> Measurement:
-        taken = tuple(stilled(stack, times) for stack in stacks) if still else stacks
-        if next(numbers) % renew and before is not None:
-            return session.follow(taken, before)
-        points = before.points if uses_previous and before is not None else None
-        return session.measure(taken, previous_mm=None if points is None else points.points_mm)
+    def decode(stacks: tuple[ImageStack, ...], times: tuple[int, ...]) -> Decoded:
+        return session.decode([stilled(s, times) for s in stacks] if still else stacks)
 
-    return measure
+    def measure(shown: Decoded, before: Measurement | None) -> Measurement:
+        if next(numbers) % renew and before is not None:
+            return session.follow(shown, before)
+        points = before.points if uses_previous and before is not None else None
+        return session.measure(shown, previous_mm=None if points is None else points.points_mm)
+
+    return Steps(decode, measure)
