@@ -48,6 +48,7 @@ ALLOWED: dict[str, set[str]] = {
         "design",
         "geometry",
         "health",
+        "kernels",
         "options",
         "patterns",
         "segments",

@@ -37,6 +37,7 @@ from fringe3d.errors import MethodError
 from fringe3d.geometry import project
 from fringe3d.geometry.meeting import Met
 from fringe3d.health import Finding, check_trinocular, check_twins
+from fringe3d.kernels import alongside
 from fringe3d.model import (
     NO_ORDER,
     CalibrationBias,
@@ -127,8 +128,9 @@ def followed(
 ) -> tuple[CameraPhases, ...]:
     """Give two cameras the fringe orders that go on from the points of the frame before.
 
-    Pixels without a point go on from its orders, where it was followed itself: they were of no use
-    then, and may be now. Without them each frame would lose a little more along the edges.
+    Where it was followed itself its phases are known: pixels without a point go on from them, too.
+    They were of no use then, and may be now; without them each frame would lose a little more along
+    the edges.
 
     Raises
     ------
@@ -141,16 +143,18 @@ def followed(
             "projector, which tells where they were lit. Measure this frame without it"
         )
     main = phases[0].directions[0].main
-    lit = lit_before(main, projector, previous_mm)
-    turns = [lit, seen_before(lit, previous_mm, other)]
-    for known, old in zip(turns, previous_phases, strict=False):
-        is_open, same = np.isnan(known), old.directions[0].main
-        known[is_open] = same.absolute_phase[is_open] / (2 * np.pi)
+    if previous_phases:
+        turns = [p.directions[0].main.absolute_phase / (2 * np.pi) for p in previous_phases]
+    else:
+        lit = lit_before(main, projector, previous_mm)
+        turns = [lit, seen_before(lit, previous_mm, other)]
+    firsts = [own.directions[0].like(main) for own in phases[:2]]
+    second = alongside(orders_of_before, firsts[1], turns[1])
+    orders = [orders_of_before(firsts[0], turns[0]), second()]
     found = []
-    for own, before in zip(phases, turns, strict=False):
+    for own, known in zip(phases, orders, strict=False):
         first, *more = own.directions
-        orders = orders_of_before(first.like(main), before)
-        found.append(replace(own, directions=(replace(first, main=orders), *more)))
+        found.append(replace(own, directions=(replace(first, main=known), *more)))
     return tuple(found)
 
 
