@@ -133,7 +133,7 @@ def test_live_clouds_are_those_of_the_scan(recording: Recording) -> None:
     plan = scan.stacks[0].plan
     session = Session(scan.rig, plan, MeasureOptions(), keep=False)
     loop = Live(running(cameras, clock), SlidingWindow(plan, infos),
-                measuring(session), SystemClock())  # fmt: skip
+                measuring(session, clock), SystemClock())  # fmt: skip
     clouds = []
     figures = loop.run(lambda result, *_: clouds.append(result), most_clouds=2)
     wanted = measure(scan)
@@ -144,11 +144,35 @@ def test_live_clouds_are_those_of_the_scan(recording: Recording) -> None:
         np.testing.assert_array_equal(cloud.points.points_mm, wanted.points.points_mm)
 
 
+def test_orders_are_found_anew_in_a_part_of_the_time() -> None:
+    """The first measurement, which compiles, does not count; then between two
+    of 1 s 24 of 0.125 s take 3 s."""
+    clock, did = VirtualClock(), []
+
+    class Slow:
+        def measure(self, *_: object, **__: object) -> Measurement:
+            did.append("anew")
+            clock.sleep(60.0 if len(did) == 1 else 1.0)
+            return Measurement(method="m2", why="", n_images=4, phases=())
+
+        def follow(self, _: object, before: Measurement) -> Measurement:
+            did.append("followed")
+            clock.sleep(0.125)
+            return before
+
+    steps = measuring(Slow(), clock, renewing=0.25)  # type: ignore[arg-type]
+    before = None
+    for _ in range(64):
+        before = steps.measure(None, before)  # type: ignore[arg-type]
+    anew = [i for i, what in enumerate(did) if what == "anew"]
+    assert anew == [0, 1, 26, 51]
+
+
 def options_of(folder: Path, **more: object) -> LiveOptions:
     values: dict[str, object] = {
         "rig": folder / "rig.toml", "plan": folder / "plan.toml", "replay": None, "videos": (),
         "cameras": (), "projector": None, "exposure_ms": 10.0, "wait_ms": 0.0, "period_ms": 20.0,
-        "measuring": MeasureOptions(), "still": True, "renew": 2, "host": "127.0.0.1",
+        "measuring": MeasureOptions(), "still": True, "renew": 50.0, "host": "127.0.0.1",
         "port": 8080, "has_view": False,
         "clouds": 1,
     }  # fmt: skip

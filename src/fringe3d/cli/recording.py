@@ -222,7 +222,7 @@ def live(
     period_ms: Annotated[float, Parameter(validator=at_least(0.1))] = 30.0,
     method: Literal["auto", "m0", "m1", "m2", "m3", "m4", "m5", "m6", "projector"] = "auto",
     motion: Annotated[bool, Parameter(negative=())] = False,
-    renew: Annotated[int, Parameter(validator=at_least(1))] = 15,
+    renew: Annotated[float, Parameter(validator=at_least(1, 100))] = 15.0,
     clouds: Annotated[int | None, Parameter(validator=at_least(1))] = None,
     host: str = "127.0.0.1",
     port: Annotated[int, Parameter(validator=at_least(1, 65535))] = 8080,
@@ -260,8 +260,8 @@ def live(
     motion
         Take the motion between the images out of the phases first: for fringes without a code.
     renew
-        Find the fringe orders anew every so many clouds, 1 for each; between, m2 to m6 let them go
-        on from the cloud before, which is several times as fast.
+        Part of the time, %, in which fringe orders are found anew, 100 for each cloud; between,
+        m2 to m6 let them go on from the cloud before, which is several times as fast.
     clouds
         End after that many.
     host

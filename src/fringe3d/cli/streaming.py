@@ -48,7 +48,7 @@ class LiveOptions:
     period_ms: float
     measuring: MeasureOptions
     still: bool
-    renew: int
+    renew: float
     host: str
     port: int
     has_view: bool
@@ -73,8 +73,8 @@ def run_live(
     with _stream(options, rig, clock, reporter) as stream, ExitStack() as closing:
         session = Session(rig, stream.plan, options.measuring)
         steps = measuring(
-            session, uses_previous=options.measuring.method == "m6", still=options.still,
-            renew=options.renew,
+            session, clock, uses_previous=options.measuring.method == "m6", still=options.still,
+            renewing=options.renew / 100,
         )  # fmt: skip
         window = SlidingWindow(stream.plan, stream.infos)
         loop = Live(stream.moments, window, steps, clock)

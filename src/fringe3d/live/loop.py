@@ -8,7 +8,6 @@ from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
-from itertools import count
 
 import numpy as np
 
@@ -236,27 +235,40 @@ class Live:
 
 
 def measuring(
-    session: Session, /, *, uses_previous: bool = False, still: bool = False, renew: int = 1
+    session: Session,
+    clock: Clock,
+    /,
+    *,
+    uses_previous: bool = False,
+    still: bool = False,
+    renewing: float = 1.0,
 ) -> Steps:
     """Return how a session measures a stream.
 
     Parameters
     ----------
     session : Session
+    clock : Clock
     uses_previous : bool; the cloud before is evidence (M6)
     still : bool; the motion between the images is taken out first
-    renew : int; every so many clouds the fringe orders are found anew; else they go on from the
-        cloud before (`fringe3d.session.Session.follow`)
+    renewing : float, 0 to 1; part of the time in which the fringe orders are found anew; else they
+        go on from the cloud before (`fringe3d.session.Session.follow`)
     """
-    numbers = count()
+    due_s = clock.now()
 
     def decode(stacks: tuple[ImageStack, ...], times: tuple[int, ...]) -> Decoded:
         return session.decode([stilled(s, times) for s in stacks] if still else stacks)
 
     def measure(shown: Decoded, before: Measurement | None) -> Measurement:
-        if next(numbers) % renew and before is not None:
+        nonlocal due_s
+        begin = clock.now()
+        if before is not None and begin < due_s:
             return session.follow(shown, before)
         points = before.points if uses_previous and before is not None else None
-        return session.measure(shown, previous_mm=None if points is None else points.points_mm)
+        found = session.measure(shown, previous_mm=None if points is None else points.points_mm)
+        end = clock.now()
+        # The first may have waited for the compiler.
+        due_s = end + (end - begin) * (1 / renewing - 1) if before is not None else end
+        return found
 
     return Steps(decode, measure)
