@@ -13,6 +13,7 @@ from fringe3d.model import ImageStack, NoiseModel
 from fringe3d.model.plan import FringeSet
 
 Floats = NDArray[np.float32]
+Doubles = NDArray[np.float64]
 
 WINDOW_PX = 13
 """Neighbours of a square are taken to drift alike; it must hold most of a fringe."""
@@ -191,9 +192,12 @@ def _as_if_still(
     shifts = np.asarray(fringes.shifts)[:, None, None]
     steps = shifts - drift[None] * moments[:, None, None]
     basis = np.stack([np.ones_like(steps), np.cos(steps), np.sin(steps)])
-    normal = np.einsum("anrc,bnrc->rcab", basis, basis)
+    normal = np.einsum("anrc,bnrc->rcab", basis, basis) + 1e-6 * np.eye(3)
     right = np.einsum("anrc,nrc->rca", basis, grey)
-    inverse = np.linalg.inv(normal + 1e-6 * np.eye(3))
+    offset, weight = _offset_around(grey, basis, normal, right)
+    normal[..., 0, 0] += weight
+    right[..., 0] += weight * offset
+    inverse = np.linalg.inv(normal)
     offset, cosine, sine = np.moveaxis(np.einsum("rcab,rcb->rca", inverse, right), -1, 0)
     still = offset + cosine * np.cos(shifts) + sine * np.sin(shifts)
     size = np.maximum(np.hypot(cosine, sine), 1e-6)
@@ -201,6 +205,30 @@ def _as_if_still(
     variance = np.einsum("rca,rcab,rcb->rc", across, inverse[..., 1:, 1:], across)
     grown = np.sqrt(variance * len(moments) / 2)
     return still.astype(np.float32), np.clip(grown, 1, MOST_GROWTH).astype(np.float32)
+
+
+def _offset_around(
+    grey: Floats, basis: Doubles, normal: Doubles, right: Doubles
+) -> tuple[Doubles, Doubles]:
+    """Return the offset that the neighbours let expect, (row, col), and its weight against one
+    image.
+
+    Steps that all but stand still do not tell the offset from a fringe; where the surface is plain
+    its neighbours do. How far they differ beyond their noise says how plain it is.
+    """
+    inverse = np.linalg.inv(normal)
+    fitted = np.einsum("rcab,rcb->rca", inverse, right)
+    left = grey - np.einsum("anrc,rca->nrc", basis, fitted)
+    noise = _around((left**2).sum(axis=0)) / (len(grey) - 3)
+    certain = 1 / inverse[..., 0, 0]
+    total = _around(certain)
+    mean = _around(certain * fitted[..., 0]) / total
+    spread = _around(certain * (fitted[..., 0] - mean) ** 2) / total - noise / total
+    return mean, noise / np.maximum(spread, noise / WINDOW_PX**2)
+
+
+def _around(values: Doubles) -> Doubles:
+    return np.asarray(uniform_filter(values, WINDOW_PX, mode="nearest"))
 
 
 def _sixteen_bits(stack: ImageStack, images: Floats, growth: Floats) -> ImageStack:
