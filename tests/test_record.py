@@ -8,14 +8,17 @@ import importlib.util
 import os
 import subprocess
 import sys
+import threading
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
+from queue import Queue
 from typing import Any, get_args
 
 import numpy as np
 import pytest
 
+from browser import browser, pixels_of, watched_page
 from fringe3d.errors import DeviceError, DeviceLostError, OutputError
 from fringe3d.model import PatternPlan, Scan
 
@@ -34,9 +37,11 @@ from fringe3d.cli.recorder import Bench, RecordOptions, run_record
 from fringe3d.devices import (
     Camera,
     CameraSettings,
+    Clock,
     FaultyCamera,
     FaultyProjector,
     FrameFault,
+    SystemClock,
     VirtualClock,
     replayed,
 )
@@ -258,9 +263,11 @@ def bench_of(stages: Any, *, n_positions: int = 1) -> Bench:
                  clock=world.clock, rig=world.stage.rig)  # fmt: skip
 
 
-def replaying(scan: Scan, first: Callable[[Camera], Camera] | None = None) -> Bench:
+def replaying(
+    scan: Scan, first: Callable[[Camera], Camera] | None = None, *, clock: Clock | None = None
+) -> Bench:
     """Return devices that replay a scan, the first camera with faults."""
-    clock = VirtualClock()
+    clock = clock or VirtualClock()
     found, projector = replayed(scan, clock=clock)
     cameras: list[Camera] = [*found]
     if first is not None:
@@ -340,6 +347,33 @@ def test_a_full_disk_leaves_nothing(
         run_record(options_of(tmp_path, plan_of(preset, "m2")), Reporter(quiet=True),
                    bench=replaying(scan_of(stage, "m2")))  # fmt: skip
     assert left_behind(tmp_path) == []
+
+
+def test_a_preview_shows_what_is_seen_until_its_button_is_pressed(
+    preset: Preset, stage: Stage, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In a browser: the pictures are there and not black; nothing is written before the click."""
+    pytest.importorskip("viser")
+    told: Queue[str] = Queue()
+    reporter, bench = Reporter(quiet=True), replaying(scan_of(stage, "m2"), clock=SystemClock())
+    monkeypatch.setattr(reporter, "tell", told.put)
+    options = replace(options_of(tmp_path, plan_of(preset, "m2")), is_shown_first=True)
+    recording = threading.Thread(  # a daemon: without a click it would never end
+        target=run_record, args=(options, reporter), kwargs={"bench": bench}, daemon=True
+    )
+    with browser() as chromium:
+        page, said = watched_page(chromium)
+        recording.start()
+        page.goto(told.get(timeout=60).split()[0])
+        for name in ("c1", "c2"):
+            page.get_by_text(f"{name}: a tenth of the pixels changes").wait_for()
+        pictures = page.get_by_role("img")
+        assert sum(np.ptp(pixels_of(pictures.nth(n))) > 100 for n in range(pictures.count())) >= 2
+        assert not options.out.exists()
+        page.get_by_role("button", name="record", exact=True).click()
+        recording.join(timeout=60)
+        assert (options.out / "scan.toml").exists()
+        assert [s for s in said if "WebSocket" not in s] == []  # the page ends with its server
 
 
 def test_a_series_of_exposures_becomes_one_stack(

@@ -56,7 +56,11 @@ class Reporter:
     def note(self, text: str) -> None:
         """Print a remark, unless only the result is wanted."""
         if not self._quiet:
-            self.console.print(Text(text), soft_wrap=True)
+            self.tell(text)
+
+    def tell(self, text: str) -> None:
+        """Print what somebody has to act on, as the address of a page."""
+        self.console.print(Text(text), soft_wrap=True)
 
     def warn(self, text: str) -> None:
         """Print a warning."""

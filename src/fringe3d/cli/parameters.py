@@ -55,3 +55,16 @@ def simulator_installed(command: str, /) -> Iterator[None]:
             f"{command}: expected the packages of the simulator, found no '{missing}'. Install "
             "them: pip install 'fringe3d[simulate]'"
         ) from None
+
+
+@contextmanager
+def view_installed(command: str, otherwise: str, /) -> Iterator[None]:
+    """Say what to install if the block finds a package of the 3D view missing, or what to do
+    without."""
+    try:
+        yield
+    except ModuleNotFoundError as problem:
+        raise MethodError(
+            f"{command}: expected the packages of the 3D view, found no '{problem.name}'. Install "
+            f"them: pip install 'fringe3d[view]'{otherwise}"
+        ) from None

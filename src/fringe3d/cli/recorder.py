@@ -19,6 +19,7 @@ from fringe3d.acquire import (
     with_best_exposure,
 )
 from fringe3d.cli.console import Reporter
+from fringe3d.cli.previewing import preview
 from fringe3d.devices import Camera, CameraSettings, Clock, Projector, RotaryTable, SystemClock
 from fringe3d.devices.addresses import cameras_at, devices_of_files, projector_at
 from fringe3d.errors import DeviceError, PlanError
@@ -62,6 +63,9 @@ class RecordOptions:
     title: str = ""
     command: str = ""
     overwrite: bool = False
+    is_shown_first: bool = False
+    host: str = "127.0.0.1"
+    port: int = 8080
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -99,6 +103,8 @@ def run_record(
     ):  # fmt: skip
         plan = _fitting(plan, devices, options.plan)
         devices = _prepared(devices, options, reporter)
+        if options.is_shown_first:
+            preview(devices, plan, reporter.tell, host=options.host, port=options.port)
         n_mended = _record_all(folder, devices, plan, options, bench, reporter)
     scans = "a scan" if options.positions == 1 else f"{options.positions} scans"
     names = ", ".join(camera.name for camera in bench.cameras)

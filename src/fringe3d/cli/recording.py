@@ -39,6 +39,9 @@ def record(
     camera_size: str = "640x512",
     seed: Annotated[int, Parameter(validator=at_least(0))] = 0,
     title: str = "",
+    preview: Annotated[bool, Parameter(negative=())] = False,
+    host: str = "127.0.0.1",
+    port: Annotated[int, Parameter(validator=at_least(1, 65535))] = 8080,
     overwrite: Overwrite = False,
     as_json: Json = False,
 ) -> None:
@@ -94,6 +97,13 @@ def record(
         Of the simulated noise.
     title
         A line for pictures and reports.
+    preview
+        Show first, in the browser, what the cameras see: modulation, and what is saturated. A
+        button on the page begins the recording.
+    host
+        Address of that page: by default only this machine can see it.
+    port
+        The next free one is taken where it is in use.
     """
     from fringe3d.io.importing import parse_size
 
@@ -106,7 +116,7 @@ def record(
         "measures_latency": measure_latency, "hardware_trigger": trigger == "hardware",
         "black_level_dn": black_level, "patience_ms": patience_ms,
         "positions": table, "title": title, "command": shlex.join(["fringe3d", *sys.argv[1:]]),
-        "overwrite": overwrite,
+        "overwrite": overwrite, "is_shown_first": preview, "host": host, "port": port,
     }  # fmt: skip
     with simulator_installed("record --simulate"), Reporter(quiet=as_json).running() as reporter:
         from fringe3d.cli.recorder import RecordOptions, run_record
@@ -281,5 +291,5 @@ def live(
         has_view=view, clouds=clouds,
     )  # fmt: skip
     with Reporter(quiet=as_json).running() as reporter:
-        text, record_ = run_live(options, reporter, reporter.note)
+        text, record_ = run_live(options, reporter, reporter.tell)
     say(text, record_, as_json=as_json)

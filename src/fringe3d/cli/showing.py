@@ -9,7 +9,7 @@ import rich
 from cyclopts import Parameter
 
 from fringe3d.cli.console import say
-from fringe3d.cli.parameters import Json, Overwrite, app, at_least
+from fringe3d.cli.parameters import Json, Overwrite, app, at_least, view_installed
 from fringe3d.errors import MethodError
 
 
@@ -101,13 +101,8 @@ def view(
         record = {"out": str(html), "bytes": n_bytes}
         say(f"{n_bytes / 1e6:.1f} MB -> {html}", record, as_json=as_json)
         return
-    try:
+    with view_installed("view", ". Without them: --html FILE, or fringe3d report"):
         from fringe3d.view.live import LiveView
-    except ModuleNotFoundError as problem:
-        raise MethodError(
-            f"view: expected the packages of the 3D view, found no '{problem.name}'. Install them: "
-            "pip install 'fringe3d[view]'. Without them: --html FILE, or fringe3d report"
-        ) from None
     rich.reconfigure(quiet=True)  # the banner of the server, on standard output
     live = LiveView([stored for stored, _ in found], host=host, port=port, most_points=points,
                     phases=lambda stored: next(f() for s, f in found if s is stored))  # fmt: skip

@@ -12,6 +12,7 @@ import rich
 
 from fringe3d.acquire import opened
 from fringe3d.cli.console import Reporter
+from fringe3d.cli.parameters import view_installed
 from fringe3d.devices import (
     Camera,
     CameraInfo,
@@ -87,7 +88,7 @@ def run_live(
     return str(figures), asdict(figures)
 
 
-Show = Callable[[Measurement, tuple[ImageStack, ...], Figures], None]
+Show = Callable[[Measurement | None, tuple[ImageStack, ...], Figures], None]
 
 
 def _shower(
@@ -102,21 +103,16 @@ def _shower(
         return lambda _result, _stacks, figures: reporter.step(
             f"{figures.clouds_per_s:.1f} clouds/s", figures.clouds, options.clouds or 0
         )
-    try:
+    with view_installed("live", ", or measure without: --no-view"):
         from fringe3d.view.stream import StreamView
-    except ModuleNotFoundError as problem:
-        raise MethodError(
-            f"live: expected the packages of the 3D view, found no '{problem.name}'. Install them: "
-            "pip install 'fringe3d[view]', or measure without: --no-view"
-        ) from None
     rich.reconfigure(quiet=True)  # the banner of the server, on standard output
     view = StreamView(rig, host=options.host, port=options.port)
     closing.callback(view.close)
     tell(f"{view.address} shows the newest cloud; Ctrl-C ends it")
 
-    def show(result: Measurement, stacks: tuple[ImageStack, ...], figures: Figures) -> None:
-        if result.points is not None:
-            view.show(result.points.points_mm, stacks[0], str(figures))
+    def show(result: Measurement | None, stacks: tuple[ImageStack, ...], figures: Figures) -> None:
+        points = result.points if result is not None else None
+        view.show(None if points is None else points.points_mm, stacks[0], str(figures))
 
     return show
 

@@ -70,10 +70,10 @@ class _Job:
 class _Ready:
     job: _Job
     stacks: tuple[ImageStack, ...]
-    shown: Decoded
+    shown: Decoded | None
 
 
-Show = Callable[[Measurement, tuple[ImageStack, ...], Figures], None]
+Show = Callable[[Measurement | None, tuple[ImageStack, ...], Figures], None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,7 +135,7 @@ class Live:
 
         Parameters
         ----------
-        show : called with each measurement, its images and the figures
+        show : called with each measurement (None where it failed), its images and the figures
         most_clouds : int or None (no end)
 
         Raises
@@ -152,9 +152,7 @@ class Live:
                 while (ready := ahead.result()) is not None:
                     ahead = pool.submit(self._decode_newest)
                     result = self._measured(ready, before)
-                    if result is None:
-                        continue
-                    before = result
+                    before = result or before
                     show(result, ready.stacks, self.figures)
                     if most_clouds is not None and self._count["clouds"] >= most_clouds:
                         break
@@ -194,12 +192,14 @@ class Live:
 
     def _decode_newest(self) -> _Ready | None:
         """Wait for a sequence, and decode it; None where there will be no more."""
-        while (job := self._next_job()) is not None:
-            stacks = self._window.stacks(job.ordered)
-            times = tuple(moment.number for moment in job.ordered)
-            with self._counting_failures():
-                return _Ready(job=job, stacks=stacks, shown=self._steps.decode(stacks, times))
-        return None
+        job, decoded = self._next_job(), None
+        if job is None:
+            return None
+        stacks = self._window.stacks(job.ordered)
+        times = tuple(moment.number for moment in job.ordered)
+        with self._counting_failures():
+            decoded = self._steps.decode(stacks, times)
+        return _Ready(job=job, stacks=stacks, shown=decoded)
 
     def _next_job(self) -> _Job | None:
         """Return the newest sequence; older ones that wait are dropped."""
@@ -224,7 +224,8 @@ class Live:
     def _measured(self, ready: _Ready, before: Measurement | None) -> Measurement | None:
         result = None
         with self._counting_failures():
-            result = self._steps.measure(ready.shown, before)
+            if ready.shown is not None:
+                result = self._steps.measure(ready.shown, before)
         if result is None:
             return None
         if not self._count["clouds"]:
