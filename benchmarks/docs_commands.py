@@ -27,6 +27,7 @@ import tempfile
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from cyclopts import MissingArgumentError
 
@@ -37,6 +38,9 @@ ROOT = Path(__file__).parent.parent
 sys.path.insert(0, str(ROOT / "tests"))
 
 from test_docs import PAGES, commands  # noqa: E402
+
+if TYPE_CHECKING:
+    import trimesh
 
 SIZE = "--camera-size 320x256"
 SMALL = "--camera-size 320x256 --rays 1 --period 32"
@@ -55,7 +59,8 @@ MAKERS = {
     "scan-a": f"{SCENE} --seed 1 --out scan-a",
     "scan-b": f"{SCENE} --seed 2 --out scan-b",
     "ball-1": f"{SCENE} --object sphere --out ball-1",
-    "ball-bar": f"{SCENE} --object ball-bar --out ball-bar",
+    "ball-bar": f"{SCENE} --object bar.stl --out ball-bar",
+    "bar.stl": "",
     "flat-plate": f"{SCENE} --object flat-plate --out flat-plate",
     "r1": "measure ball-1 --out r1",
     "r2": "measure ball-1 --out r2",
@@ -284,6 +289,19 @@ def special(word: str) -> Iterator[str]:
 
         trimesh.creation.box((30, 20, 10)).export("box.stl")
         yield "box.stl"
+    if word == "bar.stl":
+        bar().export("ball-bar.stl")
+        yield "ball-bar.stl"
+
+
+def bar() -> trimesh.Trimesh:
+    """Return the ball bar of docs/howto-acceptance.md: balls of 20.003 mm, 60.012 mm apart."""
+    import trimesh
+
+    from fringe3d.simulate.objects import ball_bar
+
+    made = ball_bar(radius_mm=20.003 / 2, distance_mm=60.012)
+    return trimesh.Trimesh(made.vertices_mm, made.faces, process=False)
 
 
 def carried_out(words: list[str]) -> tuple[int, str]:

@@ -954,13 +954,13 @@ OPTIONS = [
     Case(
         "word in place of the phase steps",
         nothing,
-        r'--shifts: .*"four" into int\. See --help',
+        r'--shifts: .*"four" into int\. See fringe3d measure --help',
         ("--shifts", "four"),
     ),
     Case(
         "negative number of bits",
         nothing,
-        r'"-1" for --gray-bits\. Expected a number of at least 0\. See --help',
+        r'"-1" for --gray-bits\. Expected a number of at least 0\. See fringe3d measure --help',
         ("--gray-bits=-1",),
     ),
     Case(
@@ -1011,9 +1011,24 @@ OPTIONS = [
         r'"nan" for --min-modulation\. Expected .* at least 0\.',
         ("--min-modulation", "nan"),
     ),
-    Case("unknown option", nothing, r"Unknown option: --fast\. See --help", ("--fast",)),
-    Case("second scan", nothing, r"Unused .*'scan2'.*See --help", ("scan2",)),
-    Case("no output named", nothing, r"--out requires an argument", command=("measure", "scan")),
+    Case(
+        "unknown option",
+        nothing,
+        r"Unknown option: --fast\. See fringe3d measure --help",
+        ("--fast",),
+    ),
+    Case(
+        "second scan",
+        nothing,
+        r"measure: expected nothing more, found scan2\. See fringe3d measure",
+        ("scan2",),
+    ),
+    Case(
+        "no output named",
+        nothing,
+        r"measure: expected --out, found none",
+        command=("measure", "scan"),
+    ),
     Case(
         "unknown command",
         nothing,
@@ -1028,8 +1043,12 @@ PATTERNS = [
         ("patterns of no size", ("--size", "10by10", "--period", "16"), r"--size: .*'10by10'"),
         ("patterns of zero width", ("--size", "0x7", "--period", "16"), r"--size: .*'0x7'"),
         ("patterns of one length", ("--size", "1024", "--period", "16"), r"--size: .*'1024'"),
-        ("patterns without a size", ("--period", "16"), r"--size requires an argument"),
-        ("patterns without a period", ("--size", "64x48"), r"--period requires an argument"),
+        ("patterns without a size", ("--period", "16"), r"patterns: expected --size, found none"),
+        (
+            "patterns without a period",
+            ("--size", "64x48"),
+            r"patterns: expected --period, the .* found none",
+        ),
         ("patterns of period 0", ("--size", "64x48", "--period", "0"), r"at least 2 px.*found 0\."),
         ("patterns of period -8", ("--size", "64x48", "--period=-8"), r"at least 2 px.*found -8\."),
         (

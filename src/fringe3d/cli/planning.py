@@ -83,8 +83,8 @@ def patterns(
     angles = _angles(angle, direction)
     if not period and not ramp:
         raise PlanError(
-            "--period requires an argument: the fringe period in projector px, as --period 16; "
-            "only a grey ramp (--ramp) does without"
+            "patterns: expected --period, the fringe period in projector px (--period 16), found "
+            "none; only a grey ramp (--ramp) does without"
         )
     try:
         plan = (

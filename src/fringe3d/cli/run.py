@@ -12,6 +12,7 @@ from cyclopts import CycloptsError
 
 from fringe3d.cli.app import app
 from fringe3d.cli.console import fail
+from fringe3d.cli.mistakes import told
 from fringe3d.errors import AccuracyWarning, Fringe3DError
 
 
@@ -23,7 +24,7 @@ def main(arguments: list[str] | None = None) -> None:
     try:
         app(arguments, exit_on_error=False, print_error=False, result_action="return_value")
     except CycloptsError as problem:
-        fail(f"{' '.join(str(problem).split())} See --help")
+        fail(told(problem))
         sys.exit(2)
     except Fringe3DError as problem:
         fail(str(problem))
