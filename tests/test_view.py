@@ -16,10 +16,12 @@ from browser import browser, pixels_of, watched_page
 from fringe3d.cli import main
 from fringe3d.errors import MethodError
 from fringe3d.io.rigfile import rig_text
-from fringe3d.io.stored import StoredResult, read_result
+from fringe3d.io.stored import StoredResult, angle_of, read_result
 from fringe3d.model import Device, MeasuringVolume, PhaseMap, Rig, RigidTransform
+from fringe3d.report.cloud_data import residual_px
 from fringe3d.view.pace import Detail, levels_of
-from fringe3d.view.pixel import angle_of, nearest_pixel, pixel_story, residual_along
+from fringe3d.view.pixel import nearest_pixel, pixel_story, residual_along
+from fringe3d.view.segments import segment_picture
 from fringe3d.view.shapes import frustum_lines, grid_triangles, light_sheet, volume_lines
 from stored_result import SHAPE, write_stored_result
 
@@ -138,6 +140,52 @@ def test_candidates_tell_by_how_much_they_miss(stored: StoredResult, offset_rad:
     depths, residuals = residual_along(stored, story, phases["c2"])
     assert depths[0] < taken.depth_mm < depths[-1]
     np.testing.assert_allclose(residuals[np.isfinite(residuals)], expected, atol=1e-6)
+
+
+def test_a_rejected_pixel_has_candidates_none_of_them_taken(stored: StoredResult) -> None:
+    """Those of the same phase with a point; one more turn in the phase of C1 changes nothing."""
+    rejection = stored.rejection.copy()
+    rejection[PIXEL] = 1
+    refused = replace(stored, maps=stored.maps | {"rejection": rejection})
+    assert pixel_story(refused, *PIXEL).candidates == ()
+    seen = {"c1": seen_phases("c1", 0.0, stored), "c2": seen_phases("c2", 0.3, stored)}
+    with_point = pixel_story(stored, *PIXEL, phases=seen)
+    story = pixel_story(refused, *PIXEL, phases=seen)
+    assert story.words.startswith("no point: ")
+    assert f"{len(story.candidates)} fringe orders fit its phase; in c2 order" in story.words
+    assert not any(candidate.is_taken for candidate in story.candidates)
+    assert [c.order for c in story.candidates] == [c.order for c in with_point.candidates]
+    for own, other in zip(story.candidates, with_point.candidates, strict=True):
+        # The phase of C1 is kept in single precision: 1e-6 of a turn, 0.1 um along the ray here.
+        np.testing.assert_allclose(own.point_mm, other.point_mm, atol=1e-3)
+        assert own.residuals["c2"] == pytest.approx(0.3 / (2 * np.pi), abs=1e-5)
+
+
+def test_the_picture_of_the_segments_holds_the_candidates(stored: StoredResult) -> None:
+    """One green mark, that of the order taken; none where the ray misses the volume."""
+    phases = {"c2": seen_phases("c2", 0.3, stored)}
+    story = pixel_story(stored, *PIXEL, phases=phases)
+    picture = segment_picture(stored, story, phases)
+    assert picture is not None
+    is_green = (np.abs(picture.astype(int) - [0x1A, 0x9C, 0x3C]) < 12).all(axis=-1)
+    is_red = (np.abs(picture.astype(int) - [0xD6, 0x30, 0x2A]) < 12).all(axis=-1)
+    assert is_green.sum() > 100
+    assert (is_red.sum() > 100) == (len(story.candidates) > 1)
+    missed = replace(story, ends_mm=np.full((2, 3), np.nan))
+    assert segment_picture(stored, missed, phases) is None
+
+
+def test_the_residual_is_how_far_the_projector_sees_the_point_from_its_phase(
+    stored: StoredResult,
+) -> None:
+    residual = residual_px(stored)
+    assert residual is not None
+    assert residual[PIXEL] == pytest.approx(0, abs=1e-3)  # points are kept in single precision
+    assert np.isnan(residual[stored.rejection != 0]).all()
+    late = stored.maps["absolute_phase"] - 2 * np.pi * 0.25 / PERIOD_PX
+    moved = residual_px(replace(stored, maps=stored.maps | {"absolute_phase": late}))
+    assert moved is not None
+    assert moved[PIXEL] - residual[PIXEL] == pytest.approx(0.25, abs=1e-5)
 
 
 def test_a_light_sheet_has_one_coordinate(stored: StoredResult) -> None:

@@ -13,7 +13,7 @@ from fringe3d.io.stored import StoredResult, read_result
 from fringe3d.model import PhaseMap
 
 Shown = tuple[StoredResult, Callable[[], Mapping[str, PhaseMap]]]
-"""A result, and a function that tells what the other cameras saw."""
+"""A result, and a function that tells what the cameras saw."""
 
 
 def shown_results(paths: Sequence[Path], /, *, quiet: bool = False) -> list[Shown]:
@@ -93,9 +93,9 @@ def write_page(html: Path, found: Sequence[Shown], points: int, /, *, overwrite:
 
 def _read(path: Path) -> Shown:
     def phases(stored: StoredResult) -> Mapping[str, PhaseMap]:
-        from fringe3d.view.phases import other_phases
+        from fringe3d.view.phases import seen_phases
 
-        return other_phases(stored)
+        return seen_phases(stored)
 
     stored = read_result(path)
     return stored, partial(phases, stored)
@@ -119,5 +119,5 @@ def _measured(path: Path, *, quiet: bool) -> Shown:
             "scan.toml"
         )
     stored = replace(stored_result(scan, options, result), folder=path)
-    others = {c.device_name: c.directions[0].main for c in result.phases[1:]}
-    return stored, lambda: others
+    seen = {c.device_name: c.directions[0].main for c in result.phases}
+    return stored, lambda: seen

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import tomllib
 from dataclasses import dataclass
 from pathlib import Path
@@ -97,3 +98,15 @@ def _require_maps(maps: dict[str, NDArray[Any]], names: list[str]) -> None:
     for name in MAPS:
         if len(shape) != 2 or maps[name].shape != shape + (3,) * (name == "points_mm"):
             raise ValueError(f"{name}: expected a map of {shape}, found {maps[name].shape}")
+
+
+def angle_of(direction: str, /) -> float:
+    """Return the angle of fringes, rad, from the name that the record gives their direction.
+
+    Examples
+    --------
+    >>> angle_of("x"), angle_of("180deg") == np.pi
+    (0.0, True)
+    """
+    named = {"x": 0.0, "y": np.pi / 2}
+    return named[direction] if direction in named else math.radians(float(direction[:-3]))

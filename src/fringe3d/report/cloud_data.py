@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,13 +11,19 @@ import numpy as np
 from matplotlib import colormaps
 from numpy.typing import NDArray
 
+from fringe3d.geometry import project
+from fringe3d.io.stored import StoredResult, angle_of
 from fringe3d.model import Device
+from fringe3d.patterns import across
 from fringe3d.report.maps import robust_limits
 
 LEVELS = 2**16 - 1
 SEED = 0
 
 FRAME_MARGIN = 0.1
+
+DEVIATION = "deviation_mm"
+"""The map of a result that was compared with something."""
 
 CERTAIN = 0.99
 """Where all fringe orders are at least so probable there is nothing to show."""
@@ -32,12 +39,14 @@ class Channel:
     unit : str
     values : (row, col) float
     colours : str; name of a colour map
+    is_signed : bool; its scale is symmetric about zero
     """
 
     name: str
     unit: str
     values: NDArray[Any]
     colours: str
+    is_signed: bool = False
 
 
 def channels_of(maps: dict[str, NDArray[Any]], /) -> list[Channel]:
@@ -58,6 +67,43 @@ def channels_of(maps: dict[str, NDArray[Any]], /) -> list[Channel]:
     return found
 
 
+def channels_of_result(stored: StoredResult, /) -> list[Channel]:
+    """Return what the points of a result can be coloured by, also what its rig tells of them."""
+    found = channels_of(stored.maps)
+    residual = residual_px(stored)
+    if residual is not None:
+        found.append(Channel("residual", "px", residual, "RdBu_r", is_signed=True))
+    if DEVIATION in stored.maps:
+        values = stored.maps[DEVIATION]
+        found.append(Channel("deviation", "mm", values, "RdBu_r", is_signed=True))
+    return found
+
+
+def residual_px(stored: StoredResult, /) -> NDArray[np.float64] | None:
+    """Return by how much points lie beside the light that their phase names, projector px.
+
+    Where the projector's model sees a point of two cameras, less where the phase says that the
+    projector lit it from, across the fringes. None without such a projector or two cameras: then
+    the phase itself placed the points.
+    """
+    rig, maps = stored.rig, stored.maps
+    if (
+        rig is None
+        or rig.projector is None
+        or len(rig.cameras) < 2
+        or stored.record["method"] == "projector"
+        or "absolute_phase" not in maps
+    ):
+        return None
+    fringes = stored.record["decoding"][0]
+    valid = stored.rejection == 0
+    seen = project(rig.projector, maps["points_mm"][valid])
+    lit = maps["absolute_phase"][valid] / (2 * np.pi) * fringes["period_px"]
+    residual = np.full(valid.shape, np.nan)
+    residual[valid] = across(angle_of(fringes["direction"]), seen[:, 0], seen[:, 1]) - lit
+    return residual
+
+
 def thinned(valid: NDArray[np.bool_], most: int, /) -> NDArray[np.intp]:
     """Return the places (n,) of at most so many of the valid pixels, in random order.
 
@@ -67,7 +113,12 @@ def thinned(valid: NDArray[np.bool_], most: int, /) -> NDArray[np.intp]:
 
 
 def packed_cloud(
-    maps: dict[str, NDArray[Any]], camera: Device | None, /, *, most: int
+    maps: dict[str, NDArray[Any]],
+    camera: Device | None,
+    /,
+    *,
+    most: int,
+    channels: Sequence[Channel] | None = None,
 ) -> dict[str, Any]:
     """Return what the script ``cloud_view.js`` shows, ready for JSON.
 
@@ -78,6 +129,7 @@ def packed_cloud(
     maps : dict; those of ``points.npz``
     camera : Device or None; from which side one looks at first; told from the points if not known
     most : int; points
+    channels : sequence of Channel; by default what the maps alone tell
     """
     valid = maps["rejection"] == 0
     places = thinned(valid, most)
@@ -97,7 +149,7 @@ def packed_cloud(
         "framed_mm": np.maximum(last - first, 1e-6).tolist(),
         "rotation": rotation.tolist(),
         "positions": _text(parts),
-        "channels": [_packed(channel, places) for channel in channels_of(maps)],
+        "channels": [_packed(channel, places) for channel in channels or channels_of(maps)],
     }
 
 
@@ -150,6 +202,8 @@ def facing(points_mm: NDArray[Any], /) -> NDArray[np.float64]:
 def _packed(channel: Channel, places: NDArray[np.intp]) -> dict[str, Any]:
     values = np.asarray(channel.values, np.float64).ravel()[places]
     low, high = robust_limits(values)
+    if channel.is_signed:
+        low, high = -max(abs(low), abs(high)), max(abs(low), abs(high))
     level = np.nan_to_num(np.clip((values - low) / (high - low), 0, 1))
     table = (colormaps[channel.colours](np.arange(256))[:, :3] * 255).round().astype(np.uint8)
     return {

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from fringe3d.io.stored import StoredResult
 from fringe3d.model import Device
 from fringe3d.report.advice import LEAST_PART, reason_rows
-from fringe3d.report.cloud_data import CERTAIN, packed_cloud
+from fringe3d.report.cloud_data import CERTAIN, channels_of_result, packed_cloud
 from fringe3d.report.maps import Drawer, Window, colour_map, reasons, relief, window_of
 from fringe3d.report.pages import page
 
@@ -40,14 +40,14 @@ def report_html(stored: StoredResult, /, *, most_points: int = MOST_POINTS) -> s
         rows=rows,
         advice=[row for row in rows if row.part >= LEAST_PART],
         pictures=_pictures(stored),
-        cloud=_cloud(stored.maps, _camera(stored), most_points),
+        cloud=_cloud_of(stored, most_points),
     )
 
 
 def cloud_html(stored: StoredResult, /, *, most_points: int) -> str:
     """Return a page that holds the 3D view of a result and nothing else; see `report_html`."""
     title = stored.record.get("title") or stored.folder.name
-    return cloud_page(stored.maps, _camera(stored), title=title, most_points=most_points)
+    return page("cloud.html", title=title, cloud=_cloud_of(stored, most_points))
 
 
 def cloud_page(
@@ -62,17 +62,20 @@ def cloud_page(
     title : str
     most_points : int
     """
-    return page("cloud.html", title=title, cloud=_cloud(maps, camera, most_points))
+    cloud = packed_cloud(maps, camera, most=most_points) if _has_points(maps) else None
+    return page("cloud.html", title=title, cloud=cloud)
 
 
-def _camera(stored: StoredResult) -> Device | None:
-    return stored.rig.cameras[0] if stored.rig is not None else None
+def _cloud_of(stored: StoredResult, most_points: int) -> dict[str, Any] | None:
+    if not _has_points(stored.maps):
+        return None
+    camera = stored.rig.cameras[0] if stored.rig is not None else None
+    channels = channels_of_result(stored)
+    return packed_cloud(stored.maps, camera, most=most_points, channels=channels)
 
 
-def _cloud(
-    maps: dict[str, NDArray[Any]], camera: Device | None, most_points: int
-) -> dict[str, Any] | None:
-    return packed_cloud(maps, camera, most=most_points) if (maps["rejection"] == 0).any() else None
+def _has_points(maps: dict[str, NDArray[Any]]) -> bool:
+    return bool((maps["rejection"] == 0).any())
 
 
 def _figures(stored: StoredResult) -> list[tuple[str, str]]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -13,23 +14,29 @@ from matplotlib import colormaps
 from numpy.typing import NDArray
 
 from fringe3d.errors import Fringe3DError
-from fringe3d.io.stored import StoredResult
-from fringe3d.model import PhaseMap, Rejection
+from fringe3d.io.stored import StoredResult, angle_of
+from fringe3d.model import PhaseMap
 from fringe3d.patterns import across
-from fringe3d.report.advice import reason_rows
-from fringe3d.report.cloud_data import Channel, channels_of, thinned
-from fringe3d.report.maps import REASON_COLORS, robust_limits
+from fringe3d.report.cloud_data import Channel, channels_of_result, thinned
+from fringe3d.report.maps import robust_limits
 from fringe3d.view.layers import Layers, Pacing, Surface
 from fringe3d.view.pace import levels_of
-from fringe3d.view.phases import other_phases
+from fringe3d.view.panel import (
+    colour_bar,
+    plain,
+    rejection_image,
+    rejection_legend,
+    story_text,
+)
+from fringe3d.view.phases import seen_phases
 from fringe3d.view.pixel import (
     Candidate,
     PixelStory,
-    angle_of,
     nearest_pixel,
     pixel_story,
     seen_volume,
 )
+from fringe3d.view.segments import segment_picture
 from fringe3d.view.shapes import frustum_lines, light_sheet, volume_lines
 
 BETWEEN = 1.15
@@ -40,6 +47,11 @@ SHEET_REACH = 1.15
 
 MOST_POINTS = 1_000_000
 """More points make turning slow; the others are left out at random."""
+
+WHOLE_RIG = 3.0
+"""Of the radius of the rig: so far away stands an eye that sees all of it."""
+
+Place = tuple[float, float, float]
 
 DEVICE_COLOURS = {"camera": (70, 130, 220), "projector": (230, 160, 40)}
 TAKEN, OTHER, RAY = (40, 200, 80), (230, 60, 60), (120, 60, 200)
@@ -68,8 +80,8 @@ class LiveView:
     host : str; from which addresses the page can be reached: 127.0.0.1 is this machine alone
     port : int; the next free one is taken where it is in use
     most_points : int; of each
-    phases : function that returns what the other cameras saw of a result, by camera; by default it
-        is decoded again from the images, when the first pixel is asked for
+    phases : function that returns what the cameras saw of a result, by camera; by default it is
+        decoded again from the images, when the first pixel is asked for
     """
 
     def __init__(
@@ -80,7 +92,7 @@ class LiveView:
         host: str,
         port: int,
         most_points: int = MOST_POINTS,
-        phases: Callable[[StoredResult], Mapping[str, PhaseMap]] = other_phases,
+        phases: Callable[[StoredResult], Mapping[str, PhaseMap]] = seen_phases,
     ) -> None:
         results = [stored] if isinstance(stored, StoredResult) else list(stored)
         self.stored, self._several = results[0], len(results) > 1
@@ -99,8 +111,10 @@ class LiveView:
         ]
         self._channels = self._shown[0].channels
         self.cloud = self._shown[0].cloud
+        self._rig_nodes: dict[str, Any] = {}
         self._add_rig()
-        self._look_from_c1(reach * len(results))
+        self._reach = reach * len(results)
+        self._look_from_c1()
         self._add_controls(len(self._shown[0].places), len(points))
         self._pacing = Pacing(self.server, self._levels, self.show_level)
 
@@ -109,10 +123,12 @@ class LiveView:
     ) -> _Shown:
         rig = self.stored.rig
         sideways = np.eye(3)[0] if rig is None else rig.cameras[0].device_from_world.rotation[0]
-        channels = {channel.name: channel for channel in channels_of(stored.maps)}
+        channels = {channel.name: channel for channel in channels_of_result(stored)}
         if number and stored.rejection.shape == self.stored.rejection.shape:
             away = deviation_mm(stored, self.stored)
-            channels["from the first"] = Channel("from the first", "mm", away, "RdBu_r")
+            channels["from the first"] = Channel(
+                "from the first", "mm", away, "RdBu_r", is_signed=True
+            )
         aside = number * BETWEEN * reach * sideways
         points = self._staged(stored, aside)[places]
         first = colours_of(next(iter(channels.values())), places)
@@ -138,11 +154,11 @@ class LiveView:
         having = [shown for shown in self._shown if name in shown.channels]
         channel = having[0].channels[name]
         low, high = robust_limits(channel.values)
-        if name == "from the first":
+        if channel.is_signed:
             low, high = -max(abs(low), abs(high)), max(abs(low), abs(high))
         for shown in having:
             shown.cloud.colour(colours_of(shown.channels[name], shown.places, (low, high)))
-        self.scale.content = f"{low:.4g} to {high:.4g} {channel.unit} ({channel.colours})"
+        self.scale.content = colour_bar(channel, low, high)
 
     def show_level(self, level: int, /) -> None:
         """Show the points of a level, counted from the coarsest, or the surfaces that suit it."""
@@ -177,9 +193,14 @@ class LiveView:
                 story = pixel_story(shown.stored, row, col, phases=self._phases[number])
             except Fringe3DError as problem:
                 self.story.content = plain(str(problem))
+                self.picture.visible = False
                 return None
             self._draw(shown, story)
             self.story.content = story_text(story)
+            picture = segment_picture(shown.stored, story, self._phases[number])
+            self.picture.visible = picture is not None
+            if picture is not None:
+                self.picture.image = picture
             return story
 
     def _draw(self, shown: _Shown, story: PixelStory) -> None:
@@ -222,10 +243,8 @@ class LiveView:
         points = stored.maps["points_mm"].reshape(-1, 3)
         return np.asarray(points - self._middle + aside, np.float32)
 
-    def _lines(
-        self, name: str, segments: NDArray[np.float64], colour: tuple[int, int, int]
-    ) -> None:
-        self.server.scene.add_line_segments(
+    def _lines(self, name: str, segments: NDArray[np.float64], colour: tuple[int, int, int]) -> Any:
+        return self.server.scene.add_line_segments(
             name, (segments - self._middle).astype(np.float32), colour,
             thickness=2.0, thickness_units="screen",
         )  # fmt: skip
@@ -237,22 +256,57 @@ class LiveView:
         for device in rig.devices:
             away = float(np.linalg.norm(self._middle - device.center_world))
             lines = frustum_lines(device, FRUSTUM_PART * away)
-            self._lines(f"/rig/{device.name}", lines, DEVICE_COLOURS[device.role])
+            self._rig_nodes[device.name] = self._lines(
+                f"/rig/{device.name}", lines, DEVICE_COLOURS[device.role]
+            )
         edges = volume_lines(seen_volume(self.stored)[1])
         if len(edges):
-            self._lines("/rig/volume", edges, (150, 150, 150))
+            self._rig_nodes["volume"] = self._lines("/rig/volume", edges, (150, 150, 150))
 
-    def _look_from_c1(self, reach: float) -> None:
-        rig, camera = self.stored.rig, self.server.initial_camera
-        up, ahead = np.array([0.0, -1.0, 0.0]), np.array([0.0, 0.0, 1.0])
+    def _look_from_c1(self) -> None:
+        camera = self.server.initial_camera
+        camera.position, camera.look_at, up = self._eye(whole_rig=False)
+        camera.up = up
+        self.server.scene.set_up_direction(up)
+
+    def _eye(self, *, whole_rig: bool) -> tuple[Place, Place, Place]:
+        """Return where the eye is, where it looks, and what is up."""
+        rig, reach = self.stored.rig, self._reach
+        right, up, ahead = np.array([1.0, 0, 0]), np.array([0, -1.0, 0]), np.array([0, 0, 1.0])
         if rig is not None:
-            _, up, ahead = rig.cameras[0].device_from_world.rotation * [[1], [-1], [1]]
-        self.server.scene.set_up_direction(tuple(up))
-        camera.position, camera.look_at, camera.up = (
-            tuple(-1.3 * reach * ahead),
-            (0, 0, 0),
-            tuple(up),
-        )
+            right, up, ahead = rig.cameras[0].device_from_world.rotation * [[1], [-1], [1]]
+        position, target = -1.3 * reach * ahead, np.zeros(3)
+        if whole_rig and rig is not None:
+            centers = np.array([device.center_world for device in rig.devices]) - self._middle
+            target = (centers.mean(axis=0) + target) / 2
+            away = WHOLE_RIG * max(reach / 2, np.linalg.norm(centers - target, axis=1).max())
+            position = target + away * (-0.8 * right + 0.45 * up - 0.4 * ahead)
+        return _place(position), _place(target), _place(up)
+
+    def _add_rig_controls(self) -> None:
+        """Let devices and volume be hidden, and the eye go back to C1 or see the whole rig."""
+        gui, rig = self.server.gui, self.stored.rig
+        if rig is None:
+            return
+        parts = {"devices": [device.name for device in rig.devices], "volume": ["volume"]}
+        for label, names in parts.items():
+            box: Any = gui.add_checkbox(label, True)
+            box.on_update(partial(self._show_parts, names))
+        places: Any = gui.add_button_group("look", ("from C1", "at the rig"))
+        places.on_click(lambda event: self.look(whole_rig=event.target.value == "at the rig"))
+
+    def _show_parts(self, names: Sequence[str], event: Any) -> None:
+        for name in names:
+            if name in self._rig_nodes:
+                self._rig_nodes[name].visible = bool(event.target.value)
+
+    def look(self, *, whole_rig: bool) -> None:
+        """Let all browsers look from C1, or from where the whole rig is seen."""
+        position, target, up = self._eye(whole_rig=whole_rig)
+        for client in self.server.get_clients().values():
+            client.camera.up_direction = up
+            client.camera.position = position
+            client.camera.look_at = target
 
     def _add_controls(self, n_shown: int, n_points: int) -> None:
         gui, shape = self.server.gui, self.stored.rejection.shape
@@ -261,7 +315,7 @@ class LiveView:
         gui.add_markdown(f"{summary}\n\n{n_shown:,} points shown{thin}.")
         names = dict.fromkeys(name for shown in self._shown for name in shown.channels)
         self.colour = gui.add_dropdown("colour", tuple(names))
-        self.scale = gui.add_markdown("")
+        self.scale = gui.add_html("")
         self.colour.on_update(lambda _: self.colour_by(self.colour.value))
         self.colour_by(self.colour.value)
         if len(self._levels) > 1:
@@ -274,11 +328,13 @@ class LiveView:
             "surfaces", False, hint="Between neighbouring pixels, instead of points"
         )
         self.surface.on_update(lambda _: self.as_surface(bool(self.surface.value)))
+        self._add_rig_controls()
         with gui.add_folder("pixel of C1"):
             self.row: Any = gui.add_number("row", shape[0] // 2, min=0, max=shape[0] - 1, step=1)
             self.col: Any = gui.add_number("column", shape[1] // 2, min=0, max=shape[1] - 1, step=1)
             self.sheets: Any = gui.add_checkbox("light sheets", False, hint="Of the candidates")
             button = gui.add_button("show its ray")
+            self.picture = gui.add_image(np.zeros((1, 1, 3), np.uint8), visible=False)
             self.story = gui.add_markdown("Enter a pixel, or click a point.")
 
         @button.on_click
@@ -303,10 +359,16 @@ class LiveView:
                 _, number, found = min(hits)
                 self.show_pixel(*found, number=number)
 
-        with gui.add_folder("rejected pixels"):
-            image, legend = rejection_image(self.stored.rejection)
-            gui.add_image(image)
-            gui.add_markdown(legend)
+        for shown in self._shown:
+            of = f" of {shown.stored.folder.name}" if self._several else ""
+            with gui.add_folder(f"rejected pixels{of}", expand_by_default=not self._several):
+                gui.add_image(rejection_image(shown.stored.rejection), format="png")
+                gui.add_html(rejection_legend(shown.stored.rejection))
+
+
+def _place(vector: NDArray[np.float64]) -> Place:
+    x, y, z = (float(v) for v in vector)
+    return x, y, z
 
 
 def colours_of(
@@ -319,51 +381,9 @@ def colours_of(
     return np.asarray(255 * colormaps[channel.colours](part)[:, :3]).astype(np.uint8)
 
 
-def rejection_image(
-    rejection: NDArray[np.unsignedinteger[Any]], /
-) -> tuple[NDArray[np.uint8], str]:
-    """Return rejected pixels in the colour of their first reason, (row, col, 3), and a legend."""
-    bits = rejection.astype(np.int64)
-    number = np.where(bits > 0, np.log2(np.maximum(bits & -bits, 1)) + 1, 0).astype(int)
-    hexes = ("#e8e8e8", *REASON_COLORS)
-    table = np.array([[int(h[i : i + 2], 16) for i in (1, 3, 5)] for h in hexes], np.uint8)
-    names = {reason.name: i for i, reason in enumerate(Rejection)}
-    lines = [
-        f"- {REASON_COLORS[names[row.name.replace(' ', '_').upper()]]} **{row.name}** "
-        f"{row.n_pixels:,}: {row.meaning}"
-        for row in reason_rows(rejection)
-    ]
-    return table[number], "\n".join(lines)
-
-
-def story_text(story: PixelStory, /) -> str:
-    """Return the story of a pixel as Markdown."""
-    lines = [f"row {story.row}, column {story.col}: {plain(story.words)}", ""]
-    for name, segment in story.segments.items():
-        if np.isfinite(segment).all():
-            (x1, y1), (x2, y2) = segment
-            lines.append(f"- segment in {name}: ({x1:.1f}, {y1:.1f}) to ({x2:.1f}, {y2:.1f}) px")
-    for candidate in story.candidates:
-        places = ", ".join(f"{n} ({x:.1f}, {y:.1f})" for n, (x, y) in candidate.pixels.items())
-        taken = " **taken**" if candidate.is_taken else ""
-        misses = "".join(
-            f", misses {name}'s phase by {residual:+.3f} periods"
-            for name, residual in candidate.residuals.items()
-            if np.isfinite(residual)
-        )
-        depth = f"{candidate.depth_mm:.2f} mm"
-        lines.append(f"- order {candidate.order}: {depth}, {places}{misses}{taken}")
-    return "\n".join(lines)
-
-
 def deviation_mm(stored: StoredResult, first: StoredResult, /) -> NDArray[np.float64]:
     """Return how much farther from C1 a result has its points than the first, (row, col), mm."""
     points, reference = stored.maps["points_mm"], first.maps["points_mm"]
     center = np.zeros(3) if first.rig is None else first.rig.cameras[0].center_world
     away = np.linalg.norm(points - center, axis=-1) - np.linalg.norm(reference - center, axis=-1)
     return np.asarray(away, np.float64)
-
-
-def plain(text: str, /) -> str:
-    """Return a text in which nothing is Markdown with components."""
-    return text.replace("&", "&amp;").replace("<", "&lt;").replace("{", "&#123;")

@@ -1,4 +1,4 @@
-"""What the other cameras saw of a scan that was measured."""
+"""What the cameras saw of a scan that was measured."""
 
 from __future__ import annotations
 
@@ -7,13 +7,12 @@ from pathlib import Path
 from fringe3d.decode import decode
 from fringe3d.errors import Fringe3DError
 from fringe3d.io.recording import read_scan
-from fringe3d.io.stored import StoredResult
+from fringe3d.io.stored import StoredResult, angle_of
 from fringe3d.model import PhaseMap
-from fringe3d.view.pixel import angle_of
 
 
-def other_phases(stored: StoredResult, /) -> dict[str, PhaseMap]:
-    """Return the phases of the cameras beside C1, by name; none where the scan is not found.
+def seen_phases(stored: StoredResult, /) -> dict[str, PhaseMap]:
+    """Return the phases of the cameras, by name; none where the scan is not found.
 
     They are decoded from the images again, along the direction of the fringes that the points rest
     on. Paths are those of the command that measured, so this finds them from the same folder.
@@ -27,7 +26,7 @@ def other_phases(stored: StoredResult, /) -> dict[str, PhaseMap]:
         wanted = angle_of(stored.record["decoding"][0]["direction"])
         shape = scan.rig.projector.shape if scan.rig and scan.rig.projector else None
         found: dict[str, PhaseMap] = {}
-        for stack in scan.stacks[1:]:
+        for stack in scan.stacks:
             camera = decode(stack, shape)
             maps = [d.main for d in camera.directions if abs(d.main.angle - wanted) < 1e-3]
             if maps:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from fringe3d.errors import MethodError
 from fringe3d.geometry import depth_interval, frustum, project, rays, sheet_crossing
-from fringe3d.io.stored import StoredResult
+from fringe3d.io.stored import StoredResult, angle_of
 from fringe3d.model import NO_ORDER, Device, MeasuringVolume, PhaseMap, Rejection
 from fringe3d.options import MeasureOptions, volume_of
 from fringe3d.patterns import across
@@ -53,8 +53,10 @@ class PixelStory:
     ends_mm : (2, 3) float, world; where the viewing ray enters and leaves the volume, NaN where it
         misses it
     segments : dict of device name to (2, 2) float, px; the ends as the other devices see them
-    candidates : tuple of Candidate; empty where the pixel has no phase, or no projector is known
+    candidates : tuple of Candidate; empty where the pixel has no phase, or no projector is known;
+        none of a rejected pixel is taken
     words : str; what was taken and why
+    phase : float, rad; that of the pixel, NaN where it is not known
     """
 
     row: int
@@ -63,6 +65,7 @@ class PixelStory:
     segments: dict[str, NDArray[np.float64]]
     candidates: tuple[Candidate, ...]
     words: str
+    phase: float = math.nan
 
 
 def seen_volume(stored: StoredResult, /) -> tuple[Device, MeasuringVolume]:
@@ -92,7 +95,8 @@ def pixel_story(
     ----------
     stored : StoredResult with a rig
     row, col : int; the pixel
-    phases : mapping of camera name to PhaseMap; what the other cameras see, see `other_phases`
+    phases : mapping of camera name to PhaseMap; what the cameras see, see `seen_phases`; that of C1
+        tells the candidates of rejected pixels
 
     Raises
     ------
@@ -113,8 +117,11 @@ def pixel_story(
     missed = not (near < far < math.inf)
     ends = origin + np.array([[near], [far]]) * direction
     ends = np.full((2, 3), np.nan) if missed else ends
-    candidates = () if missed else _candidates(stored, (row, col), origin, direction, (near, far))
-    candidates = tuple(_with_residuals(stored, (row, col), c, phases or {}) for c in candidates)
+    phase = _phase(stored, (row, col), (phases or {}).get(camera.name))
+    candidates = (
+        () if missed else _candidates(stored, (row, col), phase, origin, direction, (near, far))
+    )
+    candidates = tuple(_with_residuals(phase, c, phases or {}) for c in candidates)
     return PixelStory(
         row=row,
         col=col,
@@ -122,27 +129,41 @@ def pixel_story(
         segments={device.name: project(device, ends) for device in others},
         candidates=candidates,
         words=_words(stored, (row, col), candidates, missed=missed),
+        phase=phase,
     )
+
+
+def _phase(stored: StoredResult, pixel: tuple[int, int], seen: PhaseMap | None) -> float:
+    """Return the phase of a pixel, rad: that of its point, else what C1 sees, else NaN."""
+    if "absolute_phase" in stored.maps and not stored.rejection[pixel]:
+        return float(stored.maps["absolute_phase"][pixel])
+    return math.nan if seen is None else float(seen.phase[pixel])
 
 
 def _candidates(
     stored: StoredResult,
     pixel: tuple[int, int],
+    phase: float,
     origin: NDArray[np.float64],
     direction: NDArray[np.float64],
     depths_mm: tuple[float, float],
 ) -> tuple[Candidate, ...]:
     """Return the places of the viewing ray that the projector lights with the pixel's phase."""
     assert stored.rig is not None
-    projector, taken = stored.rig.projector, int(stored.maps["fringe_order"][pixel])
-    if projector is None or taken == NO_ORDER or stored.rejection[pixel]:
+    projector = stored.rig.projector
+    if projector is None or not math.isfinite(phase):
+        return ()
+    is_kept = not stored.rejection[pixel]
+    taken = int(stored.maps["fringe_order"][pixel]) if is_kept else NO_ORDER
+    if is_kept and taken == NO_ORDER:
         return ()
     fringes = stored.record["decoding"][0]
     angle, period = angle_of(fringes["direction"]), float(fringes["period_px"])
-    part = float(stored.maps["absolute_phase"][pixel]) / TWO_PI - taken
+    part = phase / TWO_PI - taken if is_kept else phase / TWO_PI
     ends = project(projector, origin + np.array(depths_mm)[:, None] * direction)
     turns = np.sort(across(angle, ends[:, 0], ends[:, 1]) / period - part)
-    orders = np.union1d(np.arange(math.ceil(turns[0]), math.floor(turns[1]) + 1), [taken])
+    orders = np.arange(math.ceil(turns[0]), math.floor(turns[1]) + 1)
+    orders = np.union1d(orders, [taken]) if is_kept else orders
     depths = sheet_crossing(
         projector, origin, np.repeat(direction[None], len(orders), axis=0),
         (orders + part) * period, angle,
@@ -154,7 +175,7 @@ def _candidates(
             depth_mm=float(depth),
             point_mm=origin + depth * direction,
             pixels={device.name: project(device, origin + depth * direction) for device in others},
-            is_taken=bool(order == taken),
+            is_taken=is_kept and bool(order == taken),
             residuals={},
         )
         for order, depth in zip(orders, depths, strict=True)
@@ -163,14 +184,10 @@ def _candidates(
 
 
 def _with_residuals(
-    stored: StoredResult,
-    pixel: tuple[int, int],
-    candidate: Candidate,
-    phases: Mapping[str, PhaseMap],
+    phase: float, candidate: Candidate, phases: Mapping[str, PhaseMap]
 ) -> Candidate:
-    expected = float(stored.maps["absolute_phase"][pixel])
     found = {
-        name: (phase_at(phases[name].phase, at) - expected) / TWO_PI
+        name: (phase_at(phases[name].phase, at) - phase) / TWO_PI
         for name, at in candidate.pixels.items()
         if name in phases
     }
@@ -186,7 +203,7 @@ def residual_along(
 
     Parameters
     ----------
-    stored, story : StoredResult, PixelStory; the pixel, which has a point
+    stored, story : StoredResult, PixelStory; the pixel, which has a phase
     phases : PhaseMap of the other camera
     n_steps : int; places on the ray
 
@@ -201,9 +218,8 @@ def residual_along(
     near, far = story.ends_mm
     points = near + np.linspace(0, 1, n_steps)[:, None] * (far - near)
     center = seen_volume(stored)[0].center_world
-    expected = float(stored.maps["absolute_phase"][story.row, story.col])
     seen = np.array([phase_at(phases.phase, at) for at in project(other, points)])
-    turns = (seen - expected) / TWO_PI
+    turns = (seen - story.phase) / TWO_PI
     return np.linalg.norm(points - center, axis=1), turns - np.round(turns)
 
 
@@ -232,18 +248,6 @@ def phase_at(phase: NDArray[Any], at: NDArray[np.float64], /) -> float:
     return float(np.angle([1 - v, v] @ turned @ [1 - u, u]))
 
 
-def angle_of(direction: str, /) -> float:
-    """Return the angle of fringes, rad, from the name that the record gives their direction.
-
-    Examples
-    --------
-    >>> angle_of("x"), angle_of("180deg") == np.pi
-    (0.0, True)
-    """
-    named = {"x": 0.0, "y": np.pi / 2}
-    return named[direction] if direction in named else math.radians(float(direction[:-3]))
-
-
 def _words(
     stored: StoredResult,
     pixel: tuple[int, int],
@@ -253,7 +257,10 @@ def _words(
 ) -> str:
     rejected = [reason for reason in Rejection if stored.rejection[pixel] & reason]
     if rejected:
-        return "no point: " + "; ".join(reason.meaning for reason in rejected)
+        said = "no point: " + "; ".join(reason.meaning for reason in rejected)
+        if candidates:
+            said += f". {len(candidates)} fringe orders fit its phase{_missed(candidates)}"
+        return said
     x, y, z = stored.maps["points_mm"][pixel]
     sigma = 1000 * float(stored.maps["sigma_mm"][pixel])
     place = f"x {x:.3f}, y {y:.3f}, z {z:.3f} mm, sigma {sigma:.1f} um along the ray"
@@ -269,6 +276,20 @@ def _words(
         f"{len(candidates)} on the segment, with probability {probability:.4f}, by method "
         f"{stored.record['method']}: {stored.record['why_this_method']}{seen}"
     )
+
+
+def _missed(candidates: tuple[Candidate, ...]) -> str:
+    """Say which of the candidates of a rejected pixel the other cameras fit best."""
+    said = ""
+    for name in candidates[0].residuals:
+        misses = [(abs(c.residuals[name]), c.order) for c in candidates]
+        seen = [miss for miss in misses if math.isfinite(miss[0])]
+        if seen:
+            least, order = min(seen)
+            said += f"; in {name} order {order} misses least, by {least:.3f} periods"
+        else:
+            said += f"; {name} has no phase at any of them"
+    return said
 
 
 def _seen(candidates: tuple[Candidate, ...]) -> str:
