@@ -19,7 +19,7 @@ from fringe3d.correspond.choice import Choice
 from fringe3d.correspond.clear import choose_clearly, is_regular
 from fringe3d.correspond.direct import Judging
 from fringe3d.correspond.smoothing import quiet
-from fringe3d.correspond.solutions import Rivals, rivals, rivals_around
+from fringe3d.correspond.solutions import rivals, rivals_around
 from fringe3d.correspond.solving import (
     coarse_stride,
     learnt_from,
@@ -136,7 +136,7 @@ def choose_orders(
     phi_2|)**2 + m**2`` with q the phase that C2 sees over that of the projector along the ray,
     c the calibration's error in C2, px, and m = 0.0015.
     """
-    witnesses, is_known, rival = witnesses or Witnesses(), bias is not None, None
+    witnesses, is_known, found = witnesses or Witnesses(), bias is not None, None
     is_alone = (
         not witnesses.cameras
         and witnesses.previous_turns is None
@@ -151,17 +151,14 @@ def choose_orders(
     task = Task(views, projector, volume, fit_sigma**2, together, keeps=keeps)
     panel = ask(task, witnesses, projector, volume)
     if search:
-        stride = coarse_stride(views.phases1.phase)
-        coarse = Task(views, projector, volume, fit_sigma**2, together, stride)
-        ask(coarse, witnesses, projector, volume)
-        rival = rivals([coarse]) if bias is None else rivals_around(coarse, bias)
-        bias = bias if rival is None else rival.best
+        found = _searched(views, projector, volume, fit_sigma, together, witnesses, bias)
+        bias = bias if found is None else found.bias
     else:
         bias = learnt_coarsely(views, projector, volume, fit_sigma, known=bias, together=together)
     chosen, bias = solve(task, bias)
-    chosen, bias = panel.asked_again(chosen, bias, is_known=is_known or rival is not None)
-    if rival is not None:
-        chosen = _no_surer_than_rivals(task, chosen, rival)
+    chosen, bias = panel.asked_again(chosen, bias, is_known=is_known or found is not None)
+    if found is not None:
+        chosen = _no_surer_than_rivals(task, chosen, found.agreement)
     elif search and not is_known:
         chosen = _unsure(task, chosen)
     if not search:  # a code leaves so few orders that what fits outside is outside
@@ -179,14 +176,44 @@ def choose_orders(
         reject(rejection, fragment, Rejection.AMBIGUOUS)
         for where, reason in doubtful(task, chosen, rejection, surface, projector, strict=strict):
             reject(rejection, where, reason)
-    found = _chosen(task, chosen, bias, measured.phases1, rejection)
-    return replace(found, rival_shift=rival.shift() if rival is not None else 0)
+    orders = _chosen(task, chosen, bias, measured.phases1, rejection)
+    return replace(orders, rival_shift=0 if found is None else found.rival_shift)
 
 
-def _no_surer_than_rivals(task: Task, chosen: Choice, found: Rivals) -> Choice:
+class _Searched(NamedTuple):
+    """What the search for the bias tells: the best, the weight of the solutions that share its
+    order, (row, col), and see `fringe3d.matching.Matched`."""
+
+    bias: CalibrationBias
+    agreement: NDArray[np.float64]
+    rival_shift: int
+
+
+def _searched(
+    views: TwoViews,
+    projector: Device,
+    volume: MeasuringVolume,
+    fit_sigma: float,
+    together: bool,
+    witnesses: Witnesses,
+    bias: CalibrationBias | None,
+) -> _Searched | None:
+    """Look on a part of the pixels for all biases that go with the images; None if none does.
+
+    Its candidates, as many as the image has pixels, are not kept.
+    """
+    stride = coarse_stride(views.phases1.phase)
+    coarse = Task(views, projector, volume, fit_sigma**2, together, stride)
+    ask(coarse, witnesses, projector, volume)
+    found = rivals([coarse]) if bias is None else rivals_around(coarse, bias)
+    if found is None:
+        return None
+    return _Searched(found.best, found.agreement(views.phases1.phase.shape), found.shift())
+
+
+def _no_surer_than_rivals(task: Task, chosen: Choice, agreement: NDArray[np.float64]) -> Choice:
     """Lower the probability of orders that solutions do not share."""
-    agreement = found.agreement(task.views.phases1.phase.shape)[task.valid]
-    agreement = no_surer_than_most(task, chosen, agreement)
+    agreement = no_surer_than_most(task, chosen, agreement[task.valid])
     return replace(
         chosen, probability=chosen.probability * agreement, outside=chosen.outside * agreement
     )

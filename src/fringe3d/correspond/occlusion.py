@@ -79,11 +79,12 @@ def hidden_from(
 
 
 class _Lines:
-    """A surface on the epipolar lines of C1 and a device."""
+    """A surface on the epipolar lines of C1 and a device; places and distances in single precision,
+    a thousandth of a pixel and of the noise."""
 
     def __init__(self, device: Device, camera1: Device, depths_mm: Floats) -> None:
         self._turned, self._number, self._n_lines = _numbered_lines(device, camera1)
-        place, distance = np.empty((2, *depths_mm.shape))
+        place, distance = np.empty((2, *depths_mm.shape), np.float32)
         to_c1, focal = camera1.center_world - device.center_world, float(device.focal_px.mean())
         _, directions = grid_rays(camera1)
         over_rows(_occlusion.write_sights, len(place), directions, depths_mm, to_c1,
@@ -96,14 +97,14 @@ class _Lines:
         known = depths_mm[np.isfinite(depths_mm)][::SAMPLE]
         self._join_mm = JOINED * float(np.median(known) / camera1.focal_px.mean())
 
-    def behind_mm(self, margin_px: float) -> Floats:
+    def behind_mm(self, margin_px: float) -> NDArray[np.float32]:
         """Return how far each point lies behind what the device sees there, (row, col)."""
-        behind = np.empty((self._n_lines, self._number.shape[1]))
+        behind = np.empty((self._n_lines, self._number.shape[1]), np.float32)
         over_rows(_occlusion.find_behind, len(behind), self._number, self._place, self._distance,
                   self._ends, self._join_mm, margin_px, behind)  # fmt: skip
-        found = np.empty(self._number.shape)
+        found = np.empty(self._number.shape, np.float32)
         over_rows(_occlusion.look_up, len(found), self._number, behind, found)
-        image = np.empty(self.pitch_mm.shape)
+        image = np.empty(self.pitch_mm.shape, np.float32)
         self._turned(image)[:] = found
         return image
 
