@@ -11,6 +11,7 @@ from fringe3d.decode import (
     decode,
     decode_apart,
     filtered_camera,
+    mixed_camera,
     response_from_fringes,
     without_saturated,
 )
@@ -71,7 +72,7 @@ def decoded(scan: Scan, options: MeasureOptions, /) -> Decoded:
     used = [_without_saturated(stack, options) for stack in stacks]
     phases = tuple(_decode(stack, rig, choice.method, options) for stack in used)
     findings = alongside(_check_images, used, phases)
-    phases = _filtered(phases, options)
+    phases = _filtered(phases, used, options)
     if rig is not None and choice.method != "projector":
         names = [stack.device_name for stack in used]
         phases = best_direction_first(phases, *_devices(rig, names, choice.method))
@@ -104,15 +105,17 @@ def _decode(
 
 
 def _filtered(
-    phases: tuple[CameraPhases, ...], options: MeasureOptions
+    phases: tuple[CameraPhases, ...], stacks: Sequence[ImageStack], options: MeasureOptions
 ) -> tuple[CameraPhases, ...]:
     """Return the phases filtered, and at pixel centres; the first camera is looked at in its
-    pixels alone."""
+    pixels alone. A series of exposures sees dark pixels beside bright ones."""
     found, blur = [], options.blur_px
     for i, camera in enumerate(phases):
         smooth = filtered_camera(camera, options.filter, is_first=i == 0)
         if blur is not None:
             smooth = centred_camera(smooth, blur_px=blur, is_first=i == 0)
+            if stacks[i].fused is not None:
+                smooth = mixed_camera(smooth, blur_px=blur)
         found.append(smooth)
     return tuple(found)
 

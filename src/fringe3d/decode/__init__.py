@@ -5,6 +5,7 @@ from fringe3d.decode.camera import CameraPhases, DirectionPhases, decode
 from fringe3d.decode.exposures import fuse, without_saturated
 from fringe3d.decode.filtering import filtered_camera
 from fringe3d.decode.footprint import centred, centred_camera
+from fringe3d.decode.mixing import mixed, mixed_camera
 from fringe3d.decode.motion import drift_of, stilled
 from fringe3d.decode.order import has_mirrored_neighbours
 from fringe3d.decode.phase import wrapped_phase
@@ -24,6 +25,8 @@ __all__ = [
     "filtered_camera",
     "fuse",
     "has_mirrored_neighbours",
+    "mixed",
+    "mixed_camera",
     "noise_from_repeats",
     "noise_from_steps",
     "ramp_of",
