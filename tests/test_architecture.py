@@ -124,7 +124,7 @@ ALLOWED: dict[str, set[str]] = {
     },
     "view": NOUNS | {"decode", "geometry", "io", "options", "patterns", "report"},
     # For notebooks: whatever there is to see, in one line.
-    "plot": NOUNS | {"io", "options", "patterns", "pipeline", "report", "view"},
+    "plot": NOUNS | {"geometry", "io", "options", "patterns", "pipeline", "report", "view"},
     "cli": NOUNS
     | {
         "acquire",

@@ -272,7 +272,7 @@ def test_the_folder_holds_report_record_and_pictures(sketch: Path, tmp_path: Pat
     text, found = run(sketch, out=out)
     assert text.endswith(f"-> {out}")
     assert sorted(path.name for path in out.iterdir()) == [
-        "design.json", "design.md", "maps.png", "rig.png", "segments.png"
+        "design.json", "design.md", "maps.png", "rig.png", "rig.toml", "segments.png"
     ]  # fmt: skip
     written = json.loads((out / "design.json").read_text(encoding="utf-8"))
     assert written == {key: value for key, value in found.items() if key != "out"}

@@ -15,6 +15,7 @@ import pytest
 from browser import browser, pixels_of, watched_page
 from fringe3d.cli import main
 from fringe3d.errors import MethodError
+from fringe3d.geometry import frustum_lines, volume_lines
 from fringe3d.io.rigfile import rig_text
 from fringe3d.io.stored import StoredResult, angle_of, read_result
 from fringe3d.model import Device, MeasuringVolume, PhaseMap, Rig, RigidTransform
@@ -22,7 +23,7 @@ from fringe3d.report.cloud_data import residual_px
 from fringe3d.view.pace import Detail, levels_of
 from fringe3d.view.pixel import nearest_pixel, pixel_story, residual_along
 from fringe3d.view.segments import segment_picture
-from fringe3d.view.shapes import frustum_lines, grid_triangles, light_sheet, volume_lines
+from fringe3d.view.shapes import grid_triangles, light_sheet
 from stored_result import SHAPE, write_stored_result
 
 PERIOD_PX = 16.0

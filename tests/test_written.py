@@ -3,15 +3,21 @@
 from __future__ import annotations
 
 import base64
+import json
 import re
 import shutil
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 
 from fringe3d.cli import main
+from fringe3d.io.results import write_coloured_ply
+from fringe3d.io.rigfile import rig_text
 from fringe3d.model.html import png
-from fringe3d.report.written import IN_FOLDERS, written_report
+from fringe3d.report.written import IN_FOLDERS, written_html, written_report
+from fringe3d.simulate import PRESETS
 from stored_result import write_stored_result
 
 TEXT = """# A <b>design</b>
@@ -97,3 +103,51 @@ def test_a_result_is_printed(tmp_path: Path) -> None:
     assert content.startswith(b"%PDF")
     assert content.rstrip().endswith(b"%%EOF")
     assert len(content) > 50_000  # the pictures are in it
+
+
+def shown_in(page: str) -> dict[str, Any]:
+    """Return what the page hands to its 3D view."""
+    found = re.search(r'showCloud\(document.getElementById\("cloud"\), (.*)\);', page)
+    assert found is not None
+    shown: dict[str, Any] = json.loads(found[1])
+    return shown
+
+
+def test_deviations_are_shown_in_three_dimensions(tmp_path: Path) -> None:
+    """From where they were seen: what is nearer to the viewpoint is nearer to the eye."""
+    rng = np.random.default_rng(3)
+    points = rng.uniform([0, 0, 0], [30, 20, 5], (500, 3))
+    (tmp_path / "compare.md").write_text("# x", encoding="utf-8")
+    signed = np.where(points[:, 0] < 15, 0.02, -0.01)
+    signed[:50] = np.nan
+    colours = np.zeros((500, 3), np.uint8)
+    write_coloured_ply(tmp_path / "deviations.ply", points, colours,
+                       viewpoint_mm=np.array([15.0, 10.0, 300.0]), deviation_mm=signed)  # fmt: skip
+    shown = shown_in(written_html(tmp_path / "compare.md"))
+    assert (shown["count"], shown["of"]) == (500, 500)
+    assert [channel["name"] for channel in shown["channels"]] == ["deviation", "depth z"]
+    assert (shown["channels"][0]["low"], shown["channels"][0]["high"]) == pytest.approx(
+        (-20.0, 20.0)
+    )
+    right, down, ahead = np.array(shown["rotation"])
+    assert ahead @ [0, 0, -1] > 0.99
+    assert np.cross(right, down) == pytest.approx(ahead)
+    np.testing.assert_allclose(shown["size_mm"], np.ptp(points, axis=0), rtol=1e-6)
+
+
+def test_a_rig_is_shown_in_three_dimensions(tmp_path: Path) -> None:
+    """All corners of its volume and all centres of its devices lie in the box that is shown."""
+    rig = PRESETS["kolibri"]((64, 48)).rig
+    (tmp_path / "own.toml").write_text(rig_text(rig), encoding="utf-8")
+    (tmp_path / "own-board.md").write_text("# x", encoding="utf-8")
+    shown = shown_in(written_html(tmp_path / "own-board.md"))
+    low = np.array(shown["low_mm"])
+    high = low + shown["size_mm"]
+    for device in rig.devices:
+        assert (device.center_world > low - 1e-3).all()
+        assert (device.center_world < high + 1e-3).all()
+    assert high[2] == pytest.approx(max(d.center_world[2] for d in rig.devices), abs=1e-3)
+    (channel,) = shown["channels"]
+    assert (channel["low"], channel["high"]) == ("camera", "projector")
+    kinds = np.frombuffer(base64.b64decode(channel["values"]), np.uint8)
+    assert set(kinds) == {0, 128, 255}

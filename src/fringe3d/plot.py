@@ -146,7 +146,7 @@ def rig(shown: Rig, /) -> Picture:
     """Draw where the devices stand, what they see, and the measuring volume."""
     from matplotlib.figure import Figure
 
-    from fringe3d.view.shapes import frustum_lines, volume_lines
+    from fringe3d.geometry import frustum_lines, volume_lines
 
     centers = np.array([device.center_world for device in shown.devices])
     edges = volume_lines(shown.volume) if shown.volume else np.empty((0, 2, 3))

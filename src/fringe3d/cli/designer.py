@@ -129,7 +129,8 @@ def _write(
     found: dict[str, Any],
     said: dict[str, str],
 ) -> None:
-    """Write pictures, report and figures into the folder."""
+    """Write pictures, report, figures and the rig into the folder."""
+    from fringe3d.io.rigfile import rig_text
     from fringe3d.report.design_maps import draw_maps
     from fringe3d.report.design_pictures import draw_rig, draw_segments
 
@@ -147,4 +148,5 @@ def _write(
         pictures.append(("tradeoff.png", "Where the projector could stand instead."))
     text = markdown(a, name=name, command=command, pictures=pictures, **said)
     (folder / "design.md").write_text(text, encoding="utf-8")
+    (folder / "rig.toml").write_text(rig_text(a.rig), encoding="utf-8")
     (folder / "design.json").write_text(json.dumps(found, indent=2) + "\n", encoding="utf-8")

@@ -9,6 +9,7 @@ from fringe3d.geometry.epipolar import (
     grid_intervals,
     sheet_crossing,
 )
+from fringe3d.geometry.outlines import frustum_lines, volume_lines
 from fringe3d.geometry.placing import above, looking_at, looking_at_origin
 from fringe3d.geometry.projection import (
     grid_rays,
@@ -29,6 +30,7 @@ __all__ = [
     "epipolar_curve",
     "epipolar_segment",
     "frustum",
+    "frustum_lines",
     "grid_intervals",
     "grid_rays",
     "looking_at",
@@ -41,6 +43,7 @@ __all__ = [
     "sheet_crossing",
     "triangulation_angle",
     "unproject",
+    "volume_lines",
 ]
 
 tell_of_compiling()

@@ -37,12 +37,14 @@ class CloudFile:
     sigma_mm : (n,) float64 or None, mm; standard deviation along the line to the viewpoint
     normals : (n, 3) float64 or None; unit length
     viewpoint_mm : (3,) float64 or None, mm; from where the points were seen
+    deviation_mm : (n,) float64 or None, mm; from what they were compared with, NaN where unknown
     """
 
     points_mm: Floats
     sigma_mm: Floats | None = None
     normals: Floats | None = None
     viewpoint_mm: Floats | None = None
+    deviation_mm: Floats | None = None
 
     @property
     def noise_mm(self) -> Floats | None:
@@ -106,6 +108,7 @@ def read_cloud(path: Path, /) -> CloudFile:
         sigma_mm=None if cloud.sigma_mm is None else cloud.sigma_mm[good],
         normals=None if cloud.normals is None else cloud.normals[good],
         viewpoint_mm=cloud.viewpoint_mm,
+        deviation_mm=None if cloud.deviation_mm is None else cloud.deviation_mm[good],
     )
 
 
@@ -161,6 +164,7 @@ def _from_ply(path: Path) -> CloudFile:
         sigma_mm=columns.get("sigma_mm"),
         normals=normals,
         viewpoint_mm=_viewpoint(header),
+        deviation_mm=columns.get("deviation_mm"),
     )
 
 

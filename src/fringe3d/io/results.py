@@ -32,9 +32,7 @@ def write_ply(
     Coordinates are single precision: 0.03 um at 500 mm. A comment holds the viewpoint, the centre
     of C1 from which the rays start.
     """
-    comments = [comment] if comment else []
-    if viewpoint_mm is not None:
-        comments.append(" ".join([VIEWPOINT, *(f"{value:.9g}" for value in viewpoint_mm)]))
+    comments = ([comment] if comment else []) + _viewpoint(viewpoint_mm)
     colours = np.repeat(cloud.grey[:, None], 3, axis=1)
     _write_vertices(path, cloud.points_mm, colours, {"sigma_mm": cloud.sigma_mm, **more}, comments)
 
@@ -44,10 +42,19 @@ def write_coloured_ply(
     points_mm: NDArray[np.float64],
     colours: NDArray[np.uint8],
     /,
+    *,
+    viewpoint_mm: NDArray[np.float64] | None = None,
     **values: NDArray[np.floating[Any]],
 ) -> None:
     """Write points (n, 3) with colours (n, 3) and further values (n,) as binary PLY."""
-    _write_vertices(path, points_mm, colours, values, [])
+    _write_vertices(path, points_mm, colours, values, _viewpoint(viewpoint_mm))
+
+
+def _viewpoint(viewpoint_mm: NDArray[np.float64] | None) -> list[str]:
+    """Return the comment that holds from where points were seen, if that is known."""
+    if viewpoint_mm is None:
+        return []
+    return [" ".join([VIEWPOINT, *(f"{value:.9g}" for value in viewpoint_mm)])]
 
 
 def _write_vertices(

@@ -16,6 +16,8 @@ from numpy.typing import NDArray
 from fringe3d.evaluate import Decision, Probed, Sphere, decide, fit_covariance, spacing_mm
 from fringe3d.io.atomic import new_folder
 from fringe3d.io.clouds import CloudFile
+from fringe3d.io.results import write_coloured_ply
+from fringe3d.report.maps import deviation_colours
 
 Floats = NDArray[np.float64]
 
@@ -257,11 +259,23 @@ def write_acceptance(
     *,
     overwrite: bool = False,
 ) -> None:
-    """Write ``acceptance.md``, ``acceptance.json`` and ``overview.png`` into a new folder."""
+    """Write ``acceptance.md``, ``acceptance.json``, ``overview.png`` and ``deviations.ply``."""
     with new_folder(out, overwrite=overwrite) as folder:
         (folder / "acceptance.md").write_text(markdown, encoding="utf-8")
         (folder / "acceptance.json").write_text(json.dumps(record, indent=1) + "\n", "utf-8")
         draw_residuals(folder / "overview.png", positions, title=acceptance_text(record))
+        _write_points(folder / "deviations.ply", positions)
+
+
+def _write_points(path: Path, positions: Sequence[Position]) -> None:
+    """Write the points that were fitted, with their distances from the surfaces."""
+    parts = [(position, probed) for position in positions for probed in position.probed]
+    points = np.concatenate([p.cloud.points_mm[probed.chosen] for p, probed in parts])
+    distances = np.concatenate([probed.fit.distances_mm for _, probed in parts])
+    limit = max(float(np.percentile(np.abs(distances), HELD_BY_SCALE)), 1e-9)
+    view = next((p.cloud.viewpoint_mm for p in positions if p.cloud.viewpoint_mm is not None), None)
+    colours = deviation_colours(distances, limit)
+    write_coloured_ply(path, points, colours, viewpoint_mm=view, deviation_mm=distances)
 
 
 def draw_residuals(path: Path, positions: Sequence[Position], /, *, title: str) -> None:

@@ -22,6 +22,8 @@ SEED = 0
 
 FRAME_MARGIN = 0.1
 
+KINDS = ((90, 150, 240), (150, 150, 150), (240, 170, 50))
+
 DEVIATION = "deviation_mm"
 """The map of a result that was compared with something."""
 
@@ -133,23 +135,43 @@ def packed_cloud(
     """
     valid = maps["rejection"] == 0
     places = thinned(valid, most)
-    points = maps["points_mm"].reshape(-1, 3)[places]
-    low, high = points.min(axis=0), points.max(axis=0)
-    size = np.maximum(high - low, 1e-6)
-    parts = np.round((points - low) / size * LEVELS).astype("<u2")
     seen = maps["points_mm"]
-    first, last = framed(points)
     rotation = facing(seen) if camera is None else camera.device_from_world.rotation
+    shown = [_packed(channel, places) for channel in channels or channels_of(maps)]
+    return packed_points(seen.reshape(-1, 3)[places], shown, rotation, of=int(valid.sum()))
+
+
+def packed_points(
+    points_mm: NDArray[Any],
+    channels: list[dict[str, Any]],
+    rotation: NDArray[np.float64],
+    /,
+    *,
+    of: int,
+) -> dict[str, Any]:
+    """Return points of any kind as `packed_cloud` does.
+
+    Parameters
+    ----------
+    points_mm : (n, 3) float, mm; in random order
+    channels : list of dict; see `packed_values`
+    rotation : (3, 3) float; axes of the eye as rows: right, down, ahead
+    of : int; so many there are
+    """
+    low, high = points_mm.min(axis=0), points_mm.max(axis=0)
+    size = np.maximum(high - low, 1e-6)
+    parts = np.round((points_mm - low) / size * LEVELS).astype("<u2")
+    first, last = framed(points_mm)
     return {
-        "count": len(places),
-        "of": int(valid.sum()),
+        "count": len(points_mm),
+        "of": of,
         "low_mm": low.tolist(),
         "size_mm": size.tolist(),
         "middle_mm": ((first + last) / 2 - low).tolist(),
         "framed_mm": np.maximum(last - first, 1e-6).tolist(),
         "rotation": rotation.tolist(),
         "positions": _text(parts),
-        "channels": [_packed(channel, places) for channel in channels or channels_of(maps)],
+        "channels": channels,
     }
 
 
@@ -201,10 +223,16 @@ def facing(points_mm: NDArray[Any], /) -> NDArray[np.float64]:
 
 def _packed(channel: Channel, places: NDArray[np.intp]) -> dict[str, Any]:
     values = np.asarray(channel.values, np.float64).ravel()[places]
-    low, high = robust_limits(values)
+    return packed_values(Channel(channel.name, channel.unit, values, channel.colours,
+                                 channel.is_signed))  # fmt: skip
+
+
+def packed_values(channel: Channel, /) -> dict[str, Any]:
+    """Return the values (n,) of the points that are shown, ready for JSON."""
+    low, high = robust_limits(channel.values)
     if channel.is_signed:
         low, high = -max(abs(low), abs(high)), max(abs(low), abs(high))
-    level = np.nan_to_num(np.clip((values - low) / (high - low), 0, 1))
+    level = np.nan_to_num(np.clip((channel.values - low) / (high - low), 0, 1))
     table = (colormaps[channel.colours](np.arange(256))[:, :3] * 255).round().astype(np.uint8)
     return {
         "name": channel.name,
@@ -214,6 +242,15 @@ def _packed(channel: Channel, places: NDArray[np.intp]) -> dict[str, Any]:
         "values": _text((255 * level).round().astype(np.uint8)),
         "colours": _text(table),
     }
+
+
+def packed_kinds(name: str, kinds: NDArray[np.int64], words: tuple[str, str], /) -> dict[str, Any]:
+    """Return points of three kinds (n,), 0 to 2: blue, grey, orange; words for first and last."""
+    table = np.repeat(np.array(KINDS, np.uint8), (86, 84, 86), axis=0)
+    values = np.array([0, 128, 255], np.uint8)[kinds]
+    low, high = words
+    return {"name": name, "unit": "", "low": low, "high": high, "values": _text(values),
+            "colours": _text(table)}  # fmt: skip
 
 
 def _text(array: NDArray[Any]) -> str:

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib import colormaps
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
@@ -16,11 +15,11 @@ from fringe3d.evaluate import Deviations
 from fringe3d.io.atomic import new_folder
 from fringe3d.io.results import write_coloured_ply
 from fringe3d.report.acceptance import means_on_grid, n_cells, seen_along
+from fringe3d.report.maps import deviation_colours
 
 Floats = NDArray[np.float64]
 
 MAP = "RdBu_r"
-ALONE = (150, 150, 150)
 HELD_BY_SCALE = 0.98
 BARS = 81
 
@@ -100,9 +99,10 @@ def write_deviations(
         draw_deviations(folder / "overview.png", points_mm, viewpoint_mm, deviations,
                         limit_mm=limit, title=deviation_text(record))  # fmt: skip
         signed = deviations.signed_mm
-        colours = (255 * colormaps[MAP](0.5 + signed / (2 * limit))[:, :3]).astype(np.uint8)
-        colours[~np.isfinite(signed)] = ALONE
-        write_coloured_ply(folder / "deviations.ply", points_mm, colours, deviation_mm=signed)
+        write_coloured_ply(
+            folder / "deviations.ply", points_mm, deviation_colours(signed, limit),
+            viewpoint_mm=viewpoint_mm, deviation_mm=signed,
+        )  # fmt: skip
 
 
 def draw_deviations(

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.colors import LightSource, ListedColormap
 from matplotlib.patches import Patch
@@ -20,6 +21,9 @@ REASON_COLORS = (
     "#17becf", "#2ca02c", "#1f77b4", "#98df8a", "#bcbd22", "#ff9896", "#b8c4d0", "#5b4bb5",
     "#006d5b", "#b5651d",
 )  # fmt: skip
+SIGNED, ALONE = "RdBu_r", (150, 150, 150)
+"""Colours of deviations, red where positive, and of what has none."""
+
 MAX_PANEL_PX = 900
 """Maps are thinned to about this size; nobody sees more in one panel."""
 
@@ -156,3 +160,17 @@ def robust_limits(values: NDArray[Any]) -> tuple[float, float]:
         return 0.0, 1.0
     low, high = np.percentile(finite, [0.5, 99.5])
     return float(low), float(max(high, low + 1e-6))
+
+
+def deviation_colours(signed_mm: NDArray[np.float64], limit_mm: float, /) -> NDArray[np.uint8]:
+    """Return the colours (n, 3) of deviations (n,); grey where none is known.
+
+    Examples
+    --------
+    >>> deviation_colours(np.array([-1.0, 0.0, 1.0, np.nan]), 1.0).tolist()
+    [[5, 48, 97], [247, 246, 246], [103, 0, 31], [150, 150, 150]]
+    """
+    part = 0.5 + signed_mm / (2 * limit_mm)
+    colours = np.asarray(255 * colormaps[SIGNED](part)[:, :3]).astype(np.uint8)
+    colours[~np.isfinite(signed_mm)] = ALONE
+    return colours

@@ -11,6 +11,7 @@ from markupsafe import Markup
 
 from fringe3d.errors import MethodError
 from fringe3d.report.pages import page
+from fringe3d.report.written_cloud import cloud_beside
 
 IN_FOLDERS = ("design.md", "acceptance.md", "compare.md", "paper.md", "merge.md")
 BESIDE_RIGS = ("-board.md", "-projector.md")
@@ -58,7 +59,9 @@ def written_html(report: Path, /) -> str:
     body = re.sub(r'<img src="([^"]*)"', lambda found: _embedded(report, found[1]), body)
     body = re.sub(r'<a href="(?!#)[^"]*">(.*?)</a>', r"\1", body)  # it leads nowhere from here
     title = re.search(r"^# (.+)$", text, flags=re.M)
-    return page("written.html", title=title[1] if title else report.stem, body=Markup(body))
+    cloud = cloud_beside(report)
+    return page("written.html", title=title[1] if title else report.stem, body=Markup(body),
+                cloud=cloud)  # fmt: skip
 
 
 def _embedded(report: Path, target: str) -> str:

@@ -14,6 +14,7 @@ from matplotlib import colormaps
 from numpy.typing import NDArray
 
 from fringe3d.errors import Fringe3DError
+from fringe3d.geometry import frustum_lines, volume_lines
 from fringe3d.io.stored import StoredResult, angle_of
 from fringe3d.model import PhaseMap
 from fringe3d.patterns import across
@@ -37,7 +38,7 @@ from fringe3d.view.pixel import (
     seen_volume,
 )
 from fringe3d.view.segments import segment_picture
-from fringe3d.view.shapes import frustum_lines, light_sheet, volume_lines
+from fringe3d.view.shapes import light_sheet
 
 BETWEEN = 1.15
 """Results stand side by side at so many widths of the first."""

@@ -125,7 +125,8 @@ function showCloud(root, cloud) {
     const stops = [0, 32, 64, 96, 128, 160, 192, 224, 255].map(i => `rgb(${table.slice(3 * i, 3 * i + 3)})`);
     root.querySelector(".bar").style.background = `linear-gradient(to right, ${stops})`;
     for (const [name, value] of [[".low", channel.low], [".high", channel.high]])
-      root.querySelector(name).textContent = `${Number(value.toPrecision(4))} ${channel.unit}`;
+      root.querySelector(name).textContent =
+        typeof value === "string" ? value : `${Number(value.toPrecision(4))} ${channel.unit}`;
     draw();
   }
 
