@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from closed_form import above_table, demo_rig, sphere_distance
 from cv_lens import cv_project, cv_rays
 from fringe3d.correspond import Task, TwoViews, choose_orders, coarse_stride
-from fringe3d.correspond.candidates import ChosenOrders
+from fringe3d.correspond.chosen import ChosenOrders
 from fringe3d.model import (
     NO_ORDER,
     Device,

@@ -10,7 +10,7 @@ import pytest
 from changed_rigs import turned
 from closed_phases import PLANE, Surface, grid_of, phase_map, seen_points, small_rig, visible
 from fringe3d.correspond import TwoViews, choose_orders, match_cameras, place_lost
-from fringe3d.correspond.candidates import ChosenOrders
+from fringe3d.correspond.chosen import ChosenOrders
 from fringe3d.model import Correspondences, PointMap, Rejection, Rig
 from fringe3d.triangulate import triangulate
 

@@ -23,7 +23,7 @@ from closed_phases import (
 )
 from cv_lens import cv_project
 from fringe3d.correspond import Rivals, Task, TwoViews, coarse_stride, rivals
-from fringe3d.correspond.candidates import ChosenOrders
+from fringe3d.correspond.chosen import ChosenOrders
 from fringe3d.correspond.solutions import Solution, edges_px, epipolar_direction, weighed
 from fringe3d.model import NO_ORDER, CalibrationBias, Rejection, Rig
 

@@ -2,7 +2,8 @@
 
 from fringe3d.correspond.borders import doubt_at_borders
 from fringe3d.correspond.both_directions import match_both_directions
-from fringe3d.correspond.candidates import FIT_SIGMA, ChosenOrders, choose_orders
+from fringe3d.correspond.candidates import FIT_SIGMA, choose_orders
+from fringe3d.correspond.chosen import ChosenOrders
 from fringe3d.correspond.curves import keep_curves, ray_curves
 from fringe3d.correspond.direct import Located, locate
 from fringe3d.correspond.following import lit_before, orders_of_before, seen_before

@@ -6,16 +6,25 @@ whether a second fringe direction tells them apart.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fringe3d.correspond._clear import DECIDED, LEAST_PLACING_RATIO, NOTHING, OPEN, OUTSIDE
-from fringe3d.correspond._orders import DIFFERENCE, RATIO
+from fringe3d.correspond._clear import DECIDED, NOTHING, OPEN, OUTSIDE
 from fringe3d.correspond.both_ways import agrees_with_c2, asked_of_c2, swapped, swapped_bias
 from fringe3d.correspond.choice import Choice
+from fringe3d.correspond.chosen import (
+    LEAST_RATIO,
+    SEARCH_TURNS,
+    ChosenOrders,
+    all_orders,
+    chosen_orders,
+    found_of,
+    rejection_of,
+    spread_to,
+)
 from fringe3d.correspond.clear import choose_clearly, is_regular
 from fringe3d.correspond.direct import Judging
 from fringe3d.correspond.smoothing import quiet
@@ -30,14 +39,13 @@ from fringe3d.correspond.solving import (
 from fringe3d.correspond.strictness import doubtful
 from fringe3d.correspond.surfaces import is_fragment, no_surer_than_most
 from fringe3d.correspond.visibility import is_hidden, takes_foreign_light
-from fringe3d.correspond.weighing import TWO_PI, Task, TwoViews
+from fringe3d.correspond.weighing import Task, TwoViews
 from fringe3d.correspond.witnesses import Witnesses, ask
 from fringe3d.model import (
     NO_ORDER,
     CalibrationBias,
     Device,
     MeasuringVolume,
-    PhaseMap,
     Rejection,
 )
 from fringe3d.model.rejection import reject
@@ -45,43 +53,9 @@ from fringe3d.model.rejection import reject
 FIT_SIGMA = 6.0
 """A candidate fits if C2 sees its phase within six standard deviations, steep walls included."""
 
-SEARCH_TURNS = (0.2, 0.45)
-"""Periods of C2 around a decided order in which its point is searched, least and most."""
-
-LEAST_RATIO = 0.5
-
 ABSOLUTE_SAMPLE, LEAST_ABSOLUTE_STEP = 6_000, 4
 """Pixels from which the bias is learnt where the code leaves nothing to choose, and the least step
 between them: neighbours err alike."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class ChosenOrders:
-    """Fringe orders that geometry and the second camera chose.
-
-    Parameters
-    ----------
-    phases : PhaseMap of C1, absolute; what has no order is rejected with its reason
-    probability : (row, col) float32; of the order among all candidates; NaN where rejected
-    half_px : (row, col) float32, projector px; how far around its phase C2 sees the point
-    place_px, place_sigma_px : (row, col) float32, projector px; where across the fringes C1's phase
-        and the bias expect the point, less its phase, and the standard deviation
-    residual : (row, col) float32, periods; phase that C2 sees at the point minus that of C1, the
-        calibration's bias included; NaN where a code decides most pixels at once (`clear`)
-    sigma : (row, col) float32, periods; predicted standard deviation of `residual` less the bias
-    bias : CalibrationBias; as stored, or as the clear decisions show it
-    rival_shift : int; see `fringe3d.matching.Matched`
-    """
-
-    phases: PhaseMap
-    probability: NDArray[np.float32]
-    half_px: NDArray[np.float32]
-    place_px: NDArray[np.float32]
-    place_sigma_px: NDArray[np.float32]
-    residual: NDArray[np.float32]
-    sigma: NDArray[np.float32]
-    bias: CalibrationBias
-    rival_shift: int = 0
 
 
 def choose_orders(
@@ -168,15 +142,15 @@ def choose_orders(
         back_views = swapped(views) if search else asked_of_c2(task, chosen)
         back = Task(back_views, projector, volume, task.limit, together=True, keeps=plain)
         agrees, surface = _confirmed(task, chosen, bias, back, projector, strict=strict)
-    rejection = _rejection(task, chosen, agrees, min_probability)
+    rejection = rejection_of(task, chosen, agrees, min_probability)
     if search:
         hidden = is_hidden(task, chosen, surface, projector)
-        reject(rejection, _spread(hidden, task.valid, fill=False), Rejection.HIDDEN)
+        reject(rejection, spread_to(hidden, task.valid, fill=False), Rejection.HIDDEN)
         fragment = is_fragment(task, chosen, rejection) & (rejection == 0)
         reject(rejection, fragment, Rejection.AMBIGUOUS)
         for where, reason in doubtful(task, chosen, rejection, surface, projector, strict=strict):
             reject(rejection, where, reason)
-    orders = _chosen(task, chosen, bias, measured.phases1, rejection)
+    orders = chosen_orders(task, chosen, bias, measured.phases1, rejection)
     return replace(orders, rival_shift=0 if found is None else found.rival_shift)
 
 
@@ -253,8 +227,8 @@ def _clearly(
     order = np.where(is_inside, found.order, np.int32(NO_ORDER))
     probability = np.where(is_inside, np.float32(1), np.float32(np.nan))
     is_open = found.state.ravel()[task.where] == OPEN
-    where, weighed = task.where[is_open], _found(task, chosen, bias, task.first[1])
-    own = _rejection(task, chosen, agrees.ravel()[task.where], min_probability)
+    where, weighed = task.where[is_open], found_of(task, chosen, bias, task.first[1])
+    own = rejection_of(task, chosen, agrees.ravel()[task.where], min_probability)
     rejection.ravel()[where] = own.ravel()[where]
     order.ravel()[where] = chosen.order[is_open]
     probability.ravel()[where] = chosen.probability[is_open]
@@ -262,7 +236,7 @@ def _clearly(
     found.place_px.ravel()[where] = weighed.place[is_open]
     found.place_sigma_px.ravel()[where] = weighed.place_sigma[is_open]
     phases = replace(
-        views.phases1, order_class=order, class_of_order=_all_orders(views.phases1)
+        views.phases1, order_class=order, class_of_order=all_orders(views.phases1)
     ).rejecting(rejection)
     nothing = np.broadcast_to(np.float32(np.nan), order.shape)
     probability[phases.rejection != 0] = np.nan
@@ -329,96 +303,3 @@ def _coarse_task(
     else:
         stride = coarse_stride(phases1.phase)
     return Task(views, projector, volume, fit_sigma**2, together, stride)
-
-
-def _rejection(
-    task: Task,
-    chosen: Choice,
-    agrees: NDArray[np.bool_],
-    min_probability: float,
-) -> NDArray[np.uint16]:
-    """Return why pixels have no point, (row, col); 0 where they have one, or no phase."""
-    fits = chosen.is_seen & ~(chosen.cost > task.limit)
-    certain = np.where(chosen.is_inside, chosen.probability, chosen.outside) >= min_probability
-    rejection = np.zeros(task.valid.shape, np.uint16)
-    for where, reason in (
-        (task.misses | (fits & ~chosen.is_inside & certain), Rejection.OUTSIDE_VOLUME),
-        (~task.misses & ~(fits & agrees), Rejection.NO_MATCH),
-        (fits & ~task.misses & ~certain, Rejection.AMBIGUOUS),
-    ):
-        reject(rejection, _spread(where, task.valid, fill=False), reason)
-    return rejection
-
-
-class _Found(NamedTuple):
-    """What is known of chosen candidates, (n,): as in `ChosenOrders`."""
-
-    half: NDArray[np.float32]
-    place: NDArray[np.float64]
-    place_sigma: NDArray[np.float64]
-    sigma: NDArray[np.float64]
-
-
-def _found(
-    task: Task, chosen: Choice, bias: CalibrationBias, phase_std: NDArray[np.float32]
-) -> _Found:
-    """Return what is known for phases with the noise, (n,) rad, with which they were measured."""
-    period_px = task.views.phases1.period_px
-    difference, ratio = chosen.shown[:, DIFFERENCE], chosen.shown[:, RATIO]
-    # C2 may see the phase change many times as fast as the projector: a period there must do.
-    expected, spread, sigma = task.expected(chosen, bias)
-    noise = phase_std / TWO_PI
-    averaged = np.sqrt(np.maximum(noise**2 - (task.first[1] / TWO_PI) ** 2, 0))
-    averaged *= np.hypot(1, ratio - 1)  # what averaging has taken away from both phases
-    seen = np.clip(np.abs(difference) + 4 * np.hypot(sigma, averaged), *SEARCH_TURNS)
-    window = np.minimum(seen / np.maximum(np.abs(ratio), LEAST_RATIO), 0.5)
-    rate = np.where(np.abs(ratio) > LEAST_PLACING_RATIO, ratio, np.nan)
-    return _Found(
-        half=(window * period_px).astype(np.float32),
-        place=-expected / rate * period_px,
-        place_sigma=np.hypot(noise, spread / rate) * period_px,
-        sigma=sigma,
-    )
-
-
-def _all_orders(phases: PhaseMap) -> NDArray[np.int32]:
-    """Return the classes of a full code: each order is its own."""
-    return np.arange(len(phases.class_of_order), dtype=np.int32) + np.int32(phases.first_order)
-
-
-def _chosen(
-    task: Task,
-    chosen: Choice,
-    bias: CalibrationBias,
-    phases1: PhaseMap,
-    rejection: NDArray[np.uint16],
-) -> ChosenOrders:
-    """Return the result for the phases of C1 as they were measured."""
-    valid = task.valid
-    phases = replace(
-        phases1,
-        order_class=_spread(chosen.order, valid, fill=NO_ORDER),
-        class_of_order=_all_orders(phases1),
-    ).rejecting(rejection)
-    found = _found(task, chosen, bias, phases1.phase_std[valid])
-    probability, residual, sigma, place, place_sigma = (
-        np.where(phases.rejection == 0, _spread(values, valid, fill=np.nan), np.nan)
-        for values in (chosen.probability, chosen.shown[:, DIFFERENCE], found.sigma, found.place,
-                       found.place_sigma)
-    )  # fmt: skip
-    return ChosenOrders(
-        phases=phases,
-        probability=probability.astype(np.float32),
-        half_px=_spread(found.half, valid, fill=np.nan),
-        place_px=place.astype(np.float32),
-        place_sigma_px=place_sigma.astype(np.float32),
-        residual=residual.astype(np.float32),
-        sigma=sigma.astype(np.float32),
-        bias=bias,
-    )
-
-
-def _spread(values: NDArray[Any], valid: NDArray[np.bool_], *, fill: float) -> NDArray[Any]:
-    full = np.full(valid.shape, fill, values.dtype)
-    full[valid] = values
-    return full

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from fringe3d.correspond.candidates import ChosenOrders
+from fringe3d.correspond.chosen import ChosenOrders
 from fringe3d.geometry import grid_rays, project, sheet_crossing
 from fringe3d.model import Correspondences, Device, Rejection
 

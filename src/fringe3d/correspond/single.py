@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fringe3d.correspond import _single
-from fringe3d.correspond.candidates import FIT_SIGMA, LEAST_RATIO, SEARCH_TURNS, learnt_coarsely
+from fringe3d.correspond.candidates import FIT_SIGMA, learnt_coarsely
+from fringe3d.correspond.chosen import LEAST_RATIO, SEARCH_TURNS
 from fringe3d.correspond.curves import ray_curves
 from fringe3d.correspond.direct import Judging, Located, locate
 from fringe3d.correspond.projector import GUARD_PX, GUARD_SIGMA
