@@ -19,7 +19,7 @@ from fringe3d.report.saving import save_figure
 
 Floats = NDArray[np.float64]
 
-ROW_INCHES = 4.2
+ROW_INCHES = 3.6
 ARROW_OF_WIDTH = 0.06
 """Length of the arrow of a large residual, part of the width of the image."""
 
@@ -41,7 +41,7 @@ def draw_board(
     """Draw, for each device, residuals, their regions, their histogram, and rms by pose."""
     devices = calibration.devices
     poses = list(calibration.world_from_board)
-    figure = Figure(figsize=(21, 0.8 + ROW_INCHES * len(devices)), dpi=100, layout="constrained")
+    figure = Figure(figsize=(16.5, 0.8 + ROW_INCHES * len(devices)), dpi=100, layout="constrained")
     title = f"{record['board']['text']}: {len(poses)} poses; board {calibration.shape}"
     figure.suptitle(title, fontsize=12, x=0.01, ha="left")
     axes = figure.subplots(len(devices), 4, squeeze=False, width_ratios=[1.35, 1.5, 0.8, 1.0])

@@ -40,7 +40,7 @@ def draw_rig(path: Path, a: Assessment, /, *, title: str) -> None:
     angle between the two is seen at its true size.
     """
     frame = _frame(a)
-    figure = Figure(figsize=(15.5, 6.4), dpi=100, layout="constrained")
+    figure = Figure(figsize=(14.0, 5.9), dpi=100, layout="constrained")
     above, side, volume = figure.subplots(1, 3, width_ratios=[1.1, 0.9, 1.25])
     corners = _volume_corners(a)
     for axis, (across_, label), view in (
@@ -244,7 +244,7 @@ def draw_segments(path: Path, a: Assessment, /, *, title: str) -> None:
     hues = np.linspace(0, 1, len(pixels))
     devices = (camera, *others)
     shares = [device.n_cols / device.n_rows for device in devices]
-    figure = Figure(figsize=(4.6 * sum(shares) + 0.6, 5.5), dpi=100, layout="constrained")
+    figure = Figure(figsize=(3.9 * sum(shares) + 0.6, 4.7), dpi=100, layout="constrained")
     axes = np.atleast_1d(figure.subplots(1, len(devices), width_ratios=shares))
     colors = colormaps["turbo"](hues)
     axes[0].scatter(*pixels.T, c=colors, s=26)

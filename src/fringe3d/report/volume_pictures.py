@@ -45,7 +45,7 @@ def draw_volume(
     unit = _unit(calibration)
     n_shapes = int(calibration.shape != "flat")
     n = len(depths) + n_shapes
-    figure = Figure(figsize=(4.8 * n, 7.6), dpi=100, layout="compressed")
+    figure = Figure(figsize=(4.0 * n, 6.4), dpi=100, layout="compressed")
     device = calibration.devices[0]
     figure.suptitle(
         f"Sigma of points from the calibration, {unit}, over the image of {device.name}; form: "
@@ -137,7 +137,7 @@ def draw_comparison(
     overwrite : bool
     """
     n_rows = 3 if comparison.counted else 2
-    figure = Figure(figsize=(4.8 * len(depths), 3.8 * n_rows), dpi=100, layout="compressed")
+    figure = Figure(figsize=(4.4 * len(depths), 3.5 * n_rows), dpi=100, layout="compressed")
     figure.suptitle(
         f"Former calibration minus this one, {unit}, over the image of {camera.name}; colour: "
         f"along its axis (+: farther), arrows: across it",
