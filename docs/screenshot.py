@@ -17,9 +17,9 @@ from browser import browser
 from fringe3d.io.stored import read_result
 from fringe3d.view.live import LiveView
 
-SIZE = {"width": 1150, "height": 860}
+SIZE = {"width": 1400, "height": 1150}
 PIXEL = (294, 201)
-COLOURS = 96
+COLOURS = 160
 
 
 def main(result: Path, target: Path) -> None:

@@ -14,6 +14,7 @@ import pytest
 
 from browser import browser, pixels_of, watched_page
 from fringe3d.cli import main
+from fringe3d.cli.viewing import compared_with
 from fringe3d.errors import MethodError
 from fringe3d.geometry import frustum_lines, volume_lines
 from fringe3d.io.rigfile import rig_text
@@ -187,6 +188,19 @@ def test_the_residual_is_how_far_the_projector_sees_the_point_from_its_phase(
     moved = residual_px(replace(stored, maps=stored.maps | {"absolute_phase": late}))
     assert moved is not None
     assert moved[PIXEL] - residual[PIXEL] == pytest.approx(0.25, abs=1e-5)
+
+
+def test_the_deviation_from_a_reference_is_positive_in_front_of_it(
+    stored: StoredResult, tmp_path: Path
+) -> None:
+    """The reference is the result, moved away from C1 by 0.5 mm: nearly square to it but at the
+    bump in the middle.
+    """
+    moved = stored.maps["points_mm"][stored.rejection == 0] + [0, 0, 0.5]
+    np.save(tmp_path / "moved.npy", moved)
+    found = compared_with(tmp_path / "moved.npy", stored).maps["deviation_mm"]
+    assert np.isnan(found[stored.rejection != 0]).all()
+    assert np.nanmedian(found[:, :15]) == pytest.approx(0.5, abs=0.02)
 
 
 def test_a_light_sheet_has_one_coordinate(stored: StoredResult) -> None:

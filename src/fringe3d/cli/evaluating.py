@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 from cyclopts import Parameter
+from numpy.typing import NDArray
 
 from fringe3d.cli.console import Reporter, say
 from fringe3d.cli.parameters import Json, Overwrite, at_least, simulator_installed
@@ -201,7 +202,6 @@ def compare(
     out
         Folder for report and pictures; must not exist yet.
     """
-    from fringe3d.evaluate import deviations_from_cloud, deviations_from_mesh
     from fringe3d.io.atomic import require_writable
     from fringe3d.io.clouds import read_cloud
     from fringe3d.report.deviations import (
@@ -214,26 +214,9 @@ def compare(
     if out is not None:
         require_writable(out, overwrite=overwrite, inputs=(cloud, reference))
     own = read_cloud(cloud)
-    view = _viewpoint(viewpoint, own)
-    deviations: Deviations
-    if mesh or reference.suffix.lower() in MESH_SUFFIXES:
-        triangles = _triangles(reference)
-        deviations = deviations_from_mesh(
-            own.points_mm, triangles, reach_mm=reach or _reach(own.points_mm)
-        )
-    else:
-        other = read_cloud(reference)
-        if viewpoint is None and own.viewpoint_mm is None:
-            view = _viewpoint(None, other)
-        deviations = deviations_from_cloud(
-            own.points_mm, other.points_mm, reach_mm=reach or _reach(other.points_mm),
-            viewpoint_mm=view, normals=other.normals,
-        )  # fmt: skip
-    if not len(deviations.known):
-        raise MethodError(
-            f"{cloud}: expected points within {deviations.reach_mm:.3g} mm of {reference}, found "
-            "none. Check that both are in one frame and in mm, or give a larger --reach"
-        )
+    deviations, view = deviations_of(
+        own, reference, name=cloud, is_mesh=mesh, reach_mm=reach, viewpoint=viewpoint
+    )
     record = deviation_record(deviations, tolerance_mm=tolerance)
     record |= {"cloud": str(cloud), "reference": str(reference)}
     if out is not None:
@@ -242,6 +225,58 @@ def compare(
         write_deviations(out, own.points_mm, view, deviations, record, text, overwrite=overwrite)
     place = f" -> {out}" if out is not None else ""
     say(deviation_text(record) + place, record, as_json=as_json)
+
+
+def deviations_of(
+    own: CloudFile,
+    reference: Path,
+    /,
+    *,
+    name: Path,
+    is_mesh: bool = False,
+    reach_mm: float | None = None,
+    viewpoint: str | None = None,
+) -> tuple[Deviations, NDArray[np.float64]]:
+    """Return how far points lie from a cloud or mesh, and from where in front of it is told.
+
+    Parameters
+    ----------
+    own : CloudFile
+    reference : Path; of a result, a cloud or a mesh
+    name : Path; of the points, for messages
+    is_mesh : bool; the reference is a mesh, although it is a PLY file
+    reach_mm : float or None; see `compare`
+    viewpoint : str or None; see `compare`
+
+    Raises
+    ------
+    MethodError
+        If the reference cannot be read, or nothing of it is near.
+    """
+    from fringe3d.evaluate import deviations_from_cloud, deviations_from_mesh
+    from fringe3d.io.clouds import read_cloud
+
+    view = _viewpoint(viewpoint, own)
+    deviations: Deviations
+    if is_mesh or reference.suffix.lower() in MESH_SUFFIXES:
+        triangles = _triangles(reference)
+        deviations = deviations_from_mesh(
+            own.points_mm, triangles, reach_mm=reach_mm or _reach(own.points_mm)
+        )
+    else:
+        other = read_cloud(reference)
+        if viewpoint is None and own.viewpoint_mm is None:
+            view = _viewpoint(None, other)
+        deviations = deviations_from_cloud(
+            own.points_mm, other.points_mm, reach_mm=reach_mm or _reach(other.points_mm),
+            viewpoint_mm=view, normals=other.normals,
+        )  # fmt: skip
+    if not len(deviations.known):
+        raise MethodError(
+            f"{name}: expected points within {deviations.reach_mm:.3g} mm of {reference}, found "
+            "none. Check that both are in one frame and in mm, or give a larger --reach"
+        )
+    return deviations, view
 
 
 def _viewpoint(text: str | None, cloud: CloudFile) -> np.ndarray[tuple[int], np.dtype[np.float64]]:

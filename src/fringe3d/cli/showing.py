@@ -27,14 +27,14 @@ def report(
 
     What was measured, with which images, a small 3D view, pictures, figures, rejected pixels by
     reason, health, and what to do better. It needs no network. Designs, calibrations, acceptance
-    tests and comparisons become a page of the same look.
+    tests, comparisons and merges become a page of the same look.
     Examples: fringe3d report result; fringe3d report design --pdf; fringe3d report rig.toml
 
     Parameters
     ----------
     result
-        Folder that fringe3d measure, design, evaluate acceptance or evaluate compare left; or the
-        rig.toml that fringe3d calibrate left, with its report beside.
+        Folder that fringe3d measure, merge, design, evaluate acceptance or evaluate compare left;
+        or the rig.toml that fringe3d calibrate left, with its report beside.
     out
         The page; RESULT/report.html by default, RIG-report.html for a rig.
     pdf
@@ -65,16 +65,17 @@ def view(
     host: str = "127.0.0.1",
     port: Annotated[int, Parameter(validator=at_least(1, 65535))] = 8080,
     points: Annotated[int, Parameter(validator=at_least(1))] = 1_000_000,
+    reference: Path | None = None,
     html: Path | None = None,
     overwrite: Overwrite = False,
     as_json: Json = False,
 ) -> None:
     """Show results in three dimensions, in the browser; Ctrl-C ends it.
 
-    Points or surfaces coloured by depth, brightness, sigma or order probability; the rig with its
-    measuring volume; rejected pixels by reason; and of each pixel the viewing ray, the candidates
-    on it, their light sheets, and how well each fits what the second camera sees. Several results
-    stand side by side: methods compared.
+    Points or surfaces coloured by depth, brightness, sigma, order probability, residual or
+    deviation; the rig with its measuring volume; rejected pixels by reason; and of each pixel the
+    viewing ray, the candidates on it, their light sheets, and how well each fits what the second
+    camera sees. Several results stand side by side: methods compared.
     Examples: fringe3d view result; fringe3d view full reduced four; fringe3d view scan
 
     Parameters
@@ -88,14 +89,19 @@ def view(
         The next free one is taken where it is in use.
     points
         Show at most so many of each; more are thinned at random.
+    reference
+        Another result, a cloud (PLY, XYZ, NPZ) or a mesh (STL, OBJ) in the same frame, mm: points
+        can be coloured by their deviation from it.
     html
         Write the points of one result as a page that needs no network instead, and end.
     """
-    from fringe3d.cli.viewing import shown_results, write_page
+    from fringe3d.cli.viewing import compared_with, shown_results, write_page
 
     if not results:
         raise MethodError("view: expected a result or a scan, found none. See fringe3d view --help")
     found = shown_results(results, quiet=as_json)
+    if reference is not None:
+        found = [(compared_with(reference, stored), phases) for stored, phases in found]
     if html is not None:
         n_bytes = write_page(html, found, points, overwrite=overwrite)
         record = {"out": str(html), "bytes": n_bytes}

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
+
+import numpy as np
 
 from fringe3d.cli.console import Reporter
 from fringe3d.errors import MethodError
@@ -29,6 +32,27 @@ def shown_results(paths: Sequence[Path], /, *, quiet: bool = False) -> list[Show
         if stored.rejection.all():
             raise MethodError(f"{path}: expected points, found none. Look at overview.png")
     return found
+
+
+def compared_with(reference: Path, stored: StoredResult, /) -> StoredResult:
+    """Return a result that knows how far each of its points lies from a cloud or mesh.
+
+    Raises
+    ------
+    Fringe3DError
+        If the reference cannot be read, or nothing of it is near.
+    """
+    from fringe3d.cli.evaluating import deviations_of
+    from fringe3d.io.clouds import CloudFile
+    from fringe3d.report.cloud_data import DEVIATION
+
+    valid = stored.rejection == 0
+    center = None if stored.rig is None else stored.rig.cameras[0].center_world
+    own = CloudFile(points_mm=stored.maps["points_mm"][valid].astype(float), viewpoint_mm=center)
+    found, _ = deviations_of(own, reference, name=stored.folder)
+    deviation = np.full(valid.shape, np.nan)
+    deviation[valid] = found.signed_mm
+    return replace(stored, maps=stored.maps | {DEVIATION: deviation})
 
 
 def is_scan(path: Path, /) -> bool:
@@ -102,8 +126,6 @@ def _read(path: Path) -> Shown:
 
 
 def _measured(path: Path, *, quiet: bool) -> Shown:
-    from dataclasses import replace
-
     from fringe3d.io.recording import read_scan
     from fringe3d.options import MeasureOptions
     from fringe3d.pipeline import measure
