@@ -97,6 +97,8 @@ ALLOWED: dict[str, set[str]] = {
         "pose_search",
         "recorded_points",
     },
+    # The rig that overlaps of views show: both sides, calibration and registration, at once.
+    "rig_from_views": NOUNS | {"calibrate", "geometry", "register"},
     # What scans of a board show: it decodes them and hands the corners' light to the calibration.
     "board_scans": NOUNS | {"calibrate", "decode"},
     # Hardware, or the simulator in its place.
@@ -118,6 +120,7 @@ ALLOWED: dict[str, set[str]] = {
         "options",
         "pipeline",
         "register",
+        "rig_from_views",
         "self_calibration",
         "simulate",
         "__init__",
@@ -143,6 +146,7 @@ ALLOWED: dict[str, set[str]] = {
         "io",
         "options",
         "rig_bias",
+        "rig_from_views",
         "pipeline",
         "register",
         "report",

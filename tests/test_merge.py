@@ -124,6 +124,7 @@ def test_finished_views_are_kept_and_broken_scans_named(merged: Path, capsys: Ca
         (["{}"], "expected two scans or more, found 1"),
         (["{}", "{}"], "--turns: expected an angle for each of the 2 scans, found 1"),
         (["{}", "missing"], "expected a scan or a result, found nothing"),
+        (["{}", "{}", "--recalibrate"], "--recalibrate: expected scans with their images, found"),
     ],
 )
 def test_mistakes_get_one_message(

@@ -193,6 +193,26 @@ def self_calibrate(
     )
 
 
+def recorded_homologous(
+    scan: Scan, rig: Rig, options: MeasureOptions | None = None, /
+) -> Homologous:
+    """Return the homologous points of a scan with the poses of a rig.
+
+    Parameters
+    ----------
+    scan : Scan
+    rig : Rig; as the devices stood, nearly
+    options : MeasureOptions or None; which of the images to use, and the depth range
+
+    Raises
+    ------
+    MethodError
+        If no device could contradict another, or there is Gray code alone.
+    """
+    options = options or MeasureOptions()
+    return _homologous(_decoded(scan, rig, options), rig, options)
+
+
 def _with_orders(
     recordings: Sequence[_Recording],
     rig: Rig,

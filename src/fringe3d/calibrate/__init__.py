@@ -4,6 +4,7 @@ from fringe3d.calibrate._board_lens import BOARD_LENSES, BoardLens, BoardLensTri
 from fringe3d.calibrate._board_shape import SHAPES, BoardShape, ShapeTrial
 from fringe3d.calibrate._lens import LENSES, Lens, LensTrial
 from fringe3d.calibrate._parameters import Parameter
+from fringe3d.calibrate._pose_problem import first_depths
 from fringe3d.calibrate.bad_poses import BadPose, bad_poses
 from fringe3d.calibrate.ball import ball_center
 from fringe3d.calibrate.board import BoardCalibration, BoardOptions, DeviceSize, calibrate_board
@@ -32,6 +33,17 @@ from fringe3d.calibrate.projector import (
     fit_projector,
     residual_px,
 )
+from fringe3d.calibrate.rig_numbers import (
+    RigNumber,
+    beforehand,
+    changed,
+    contradictions,
+    covariance_of,
+    numbers_of,
+    placed,
+    placing,
+    point_shifts,
+)
 
 __all__ = [
     "BOARD_LENSES",
@@ -58,19 +70,25 @@ __all__ = [
     "PoseLeftOut",
     "Rest",
     "RigComparison",
+    "RigNumber",
     "ShapeTrial",
     "Sight",
     "bad_poses",
     "ball_center",
+    "beforehand",
     "calibrate_board",
+    "changed",
     "check_board",
     "check_fit",
     "check_poses",
     "circle_centers",
     "compare_rigs",
     "contradiction",
+    "contradictions",
+    "covariance_of",
     "depth_part",
     "expected_contradiction",
+    "first_depths",
     "fit_poses",
     "fit_projector",
     "focal_sigma_by_poses",
@@ -81,7 +99,11 @@ __all__ = [
     "lit_points",
     "located",
     "moved_text",
+    "numbers_of",
+    "placed",
+    "placing",
     "point_covariance",
+    "point_shifts",
     "region_points",
     "residual_px",
     "rests",

@@ -15,14 +15,22 @@ import numpy as np
 from fringe3d import __version__
 from fringe3d.cli.console import Reporter
 from fringe3d.cli.measuring_views import Measured, Source, measure_views
+from fringe3d.cli.recalibrating import (
+    RIG_FILE,
+    axis_if_known,
+    recalibrated,
+    require_scans,
+    with_rig,
+)
 from fringe3d.errors import MethodError
 from fringe3d.io.atomic import new_folder, require_writable
-from fringe3d.model import MergedCloud, Registration, SurfaceMesh
+from fringe3d.model import MergedCloud, Registration, Rig, SurfaceMesh
 from fringe3d.options import MeasureOptions
 
 if TYPE_CHECKING:
     from fringe3d.evaluate import Deviations
     from fringe3d.register.registering import Angles
+    from fringe3d.rig_from_views import RigFromViews
 
 FORMATS = ("ply", "stl", "obj", "e57")
 SCAN_MARKS = ("scan.toml", "measure.toml")
@@ -48,6 +56,7 @@ class MergeOptions:
     skip_broken: bool
     keep_edges: bool
     despite_conflicts: bool
+    recalibrate: bool
     overwrite: bool
     command: str
     measuring: MeasureOptions
@@ -56,21 +65,16 @@ class MergeOptions:
 def run_merge(options: MergeOptions, reporter: Reporter, /) -> tuple[str, dict[str, Any]]:
     """Measure, register, fuse, mesh, write; return what to print and the record."""
     from fringe3d.io.meshes import read_triangles
-    from fringe3d.io.tablefile import read_table_axis
-    from fringe3d.register import RegisterOptions, fuse, mesh_of, register, with_edges
+    from fringe3d.register import fuse, mesh_of, with_edges
     from fringe3d.report.deviations import deviation_record
     from fringe3d.report.merging import merge_record, merge_text, mesh_record, odd_texts
+    from fringe3d.report.recalibration import recalibration_record
 
     sources = find_sources(options)
     inputs = [*options.scans, options.axis, options.reference]
     require_writable(options.out, overwrite=options.overwrite, inputs=inputs)
-    axis = read_table_axis(options.axis) if options.axis else None
     triangles = read_triangles(options.reference) if options.reference else None
-    measured = _measured(sources, options, reporter)
-    wanted = RegisterOptions(
-        angles=options.angles, axis=axis, despite_conflicts=options.despite_conflicts
-    )
-    found = register(measured.views, wanted, step=reporter.step)
+    measured, found, refound = _registered(sources, options, reporter)
     cloud = fuse(measured.views, found.body_from_view, noise_factor=found.noise_factor,
                  step=reporter.step)  # fmt: skip
     if measured.edges is not None:
@@ -81,6 +85,8 @@ def run_merge(options: MergeOptions, reporter: Reporter, /) -> tuple[str, dict[s
                "kept_views": measured.n_kept, "out": str(options.out)}  # fmt: skip
     for view, about in zip(record["views"], measured.about, strict=True):
         view |= {key: about[key] for key in ("summary", "method", "images", "warnings")}
+    if refound is not None:
+        record["recalibration"] = recalibration_record(refound)
     record["warnings"] = [f"{name}: left out: {text}" for name, text in measured.broken.items()]
     mesh = None
     if options.mesh != "none":
@@ -92,10 +98,36 @@ def run_merge(options: MergeOptions, reporter: Reporter, /) -> tuple[str, dict[s
         reporter.step("comparing", 0, 1)
         reference = _compared(cloud, triangles)
         record["reference"] = deviation_record(reference[1]) | {"file": str(options.reference)}
-    write_merge(options, measured, found, cloud, mesh, reference, record)
+    rig = refound.rig if refound is not None and refound.is_off else None
+    write_merge(options, measured, found, cloud, mesh, reference, record, rig=rig)
     for text in (*odd_texts(record), *record["warnings"]):
         reporter.warn(text)
     return f"{merge_text(record)}\n-> {options.out}", record
+
+
+def _registered(
+    sources: Sequence[Source], options: MergeOptions, reporter: Reporter, /
+) -> tuple[Measured, Registration, RigFromViews | None]:
+    """Measure and register; with a rig that was off, and is found again, once more."""
+    from fringe3d.register import RegisterOptions, register, table_prior
+
+    if options.recalibrate:
+        require_scans(sources)
+    wanted = RegisterOptions(angles=options.angles, axis=axis_if_known(options.axis),
+                             despite_conflicts=options.despite_conflicts)  # fmt: skip
+    measured = _measured(sources, options, reporter)
+    found = register(measured.views, wanted, step=reporter.step)
+    if not options.recalibrate:
+        return measured, found, None
+    whole = [source for source in sources if source.name not in measured.broken]
+    prior = table_prior(measured.views, wanted)
+    again = recalibrated(whole, measured.views, found, prior, options.measuring, reporter)
+    if again.is_off:
+        measured = _measured(with_rig(sources, again.rig, _views_folder(options)), options,
+                             reporter)  # fmt: skip
+        start = found.body_from_view if len(measured.views) == len(whole) else None
+        found = register(measured.views, wanted, start=start, step=reporter.step)
+    return measured, found, again
 
 
 def find_sources(options: MergeOptions, /) -> list[Source]:
@@ -149,8 +181,7 @@ def _names(paths: Sequence[Path]) -> list[str]:
 
 
 def _measured(sources: Sequence[Source], options: MergeOptions, reporter: Reporter) -> Measured:
-    folder = options.out.with_name(f"{options.out.name}-views")
-    folder.mkdir(parents=True, exist_ok=True)
+    folder = _views_folder(options)
 
     def finished(name: str, done: int, total: int) -> None:
         reporter.step("measuring scans", done, total)
@@ -174,6 +205,12 @@ def _measured(sources: Sequence[Source], options: MergeOptions, reporter: Report
             f"{folder}"
         )
     return measured
+
+
+def _views_folder(options: MergeOptions) -> Path:
+    folder = options.out.with_name(f"{options.out.name}-views")
+    folder.mkdir(parents=True, exist_ok=True)
+    return folder
 
 
 def _n_cores() -> int:
@@ -203,8 +240,11 @@ def write_merge(
     reference: tuple[MergedCloud, Deviations] | None,
     record: dict[str, Any],
     /,
+    *,
+    rig: Rig | None = None,
 ) -> None:
-    """Write the body, completely or not at all."""
+    """Write the body, completely or not at all; a rig that was found again beside it."""
+    from fringe3d.io.rigfile import rig_text
     from fringe3d.io.surfaces import MESH_FORMATS, write_e57, write_merged_ply, write_mesh
     from fringe3d.io.tablefile import table_text
     from fringe3d.report.deviations import deviation_text
@@ -227,6 +267,8 @@ def write_merge(
             sigmas = {key: record["table"][key] for key in ("shift_sigma_um", "lean_sigma_urad")}
             text = table_text(found.table.axis, **sigmas)
             (folder / "table.toml").write_text(text, encoding="utf-8")
+        if rig is not None:
+            (folder / RIG_FILE).write_text(rig_text(rig), encoding="utf-8")
         draw_body(folder / "overview.png", cloud, up, title=merge_text(record))
         draw_overlaps(folder / "overlaps.png", found, names)
         write_turn(folder / "turn.gif", cloud, up)

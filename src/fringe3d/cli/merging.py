@@ -37,6 +37,7 @@ def merge(
     jobs: Annotated[int | None, Parameter(validator=at_least(1))] = None,
     skip_broken: Annotated[bool, Parameter(negative=())] = False,
     despite_conflicts: Annotated[bool, Parameter(negative=())] = False,
+    recalibrate: Annotated[bool, Parameter(negative=())] = False,
     overwrite: Overwrite = False,
     as_json: Json = False,
 ) -> None:
@@ -91,6 +92,10 @@ def merge(
     despite_conflicts
         Go on where views that shape alone placed (unknown, free) contradict each other: one camera
         looked through what another one saw.
+    recalibrate
+        Find poses and focal lengths of the rig's devices again, from all overlaps. If the rig was
+        off, everything is measured and registered anew with the rig found, which is left as
+        OUT/rig.toml.
     """
     from fringe3d.cli.merge_run import MergeOptions, parse_formats, parse_turns, run_merge
     from fringe3d.io.importing import parse_depth
@@ -100,7 +105,7 @@ def merge(
         scans=scans, out=out, angles=angles, turns_deg=parse_turns(turns), axis=axis, rig=rig,
         images=images, mesh=mesh, closed=holes == "closed", formats=parse_formats(formats),
         reference=reference, jobs=jobs, skip_broken=skip_broken, keep_edges=keep_edges,
-        despite_conflicts=despite_conflicts, overwrite=overwrite,
+        despite_conflicts=despite_conflicts, recalibrate=recalibrate, overwrite=overwrite,
         command=shlex.join(["fringe3d", *sys.argv[1:]]),
         measuring=MeasureOptions(method=method, depth_mm=parse_depth(depth) if depth else None,
                                  filter=filter_),

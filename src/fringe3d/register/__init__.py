@@ -10,7 +10,8 @@ from fringe3d.register.judging import OddView, odd_views
 from fringe3d.register.meshing import mesh_of
 from fringe3d.register.overlap import Landed, Sample, all_points, land_on, sample_of
 from fringe3d.register.pairs import PairFit, judge_pair, match_pair, refine_pair
-from fringe3d.register.registering import RegisterOptions, register
+from fringe3d.register.registering import RegisterOptions, register, table_prior
+from fringe3d.register.rig_system import OverlapSystem
 from fringe3d.register.small_motion import motion_of, vector_of
 from fringe3d.register.table_model import TablePrior
 from fringe3d.register.views import surface_view
@@ -20,6 +21,7 @@ __all__ = [
     "EdgePoints",
     "Landed",
     "OddView",
+    "OverlapSystem",
     "PairFit",
     "RegisterOptions",
     "Sample",
@@ -44,6 +46,7 @@ __all__ = [
     "sample_of",
     "split_edges",
     "surface_view",
+    "table_prior",
     "vector_of",
     "with_edges",
 ]

@@ -25,7 +25,7 @@ UPPER = np.triu_indices(6)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Pair:
+class PairLanding:
     """What a view's sample found on another view."""
 
     landed: Landed
@@ -47,7 +47,7 @@ class Overlaps:
     views: Sequence[SurfaceView]
     samples: Sequence[Sample]
     middle_mm: Floats
-    pairs: dict[tuple[int, int], _Pair] = field(default_factory=dict)
+    pairs: dict[tuple[int, int], PairLanding] = field(default_factory=dict)
     weights: list[Floats] = field(default_factory=list)
 
     def land(
@@ -72,7 +72,7 @@ class Overlaps:
             if is_near.sum() < LEAST_OVERLAP:
                 continue
             counts[i] += is_near
-            self.pairs[i, j] = _Pair(landed, poses[j].rotate(landed.normals), is_near)
+            self.pairs[i, j] = PairLanding(landed, poses[j].rotate(landed.normals), is_near)
         # A place that m views see gives m (m - 1) distances of m independent points.
         self.weights = [1 / count for count in counts]
 
@@ -81,7 +81,7 @@ class Overlaps:
         ratios = [np.abs(self._in_sigmas(i, pair)) for (i, _), pair in self.pairs.items()]
         return MAD_TO_SIGMA * float(np.median(np.concatenate(ratios))) if ratios else np.nan
 
-    def _in_sigmas(self, first: int, pair: _Pair) -> Floats:
+    def _in_sigmas(self, first: int, pair: PairLanding) -> Floats:
         near = pair.is_near
         sigma = np.hypot(self.samples[first].sigma_mm[near], pair.landed.sigma_mm[near])
         return np.asarray(pair.landed.distance_mm[near] / np.maximum(sigma, 1e-9))
@@ -108,7 +108,12 @@ class Overlaps:
         return matrix, vector, counted
 
     def _of_pair(
-        self, i: int, pair: _Pair, poses: Sequence[RigidTransform], scale: float, limit_mm: float
+        self,
+        i: int,
+        pair: PairLanding,
+        poses: Sequence[RigidTransform],
+        scale: float,
+        limit_mm: float,
     ) -> tuple[Floats, Floats, float]:
         sample = self.samples[i]
         places = poses[i].apply(sample.points_mm) - self.middle_mm

@@ -105,6 +105,20 @@ def register(
     return found
 
 
+def table_prior(
+    views: Sequence[SurfaceView], options: RegisterOptions | None = None, /
+) -> TablePrior | None:
+    """Return what is known of the table of these views, as options say; None where they are free.
+
+    Raises
+    ------
+    MethodError
+        If angles are asked for that views do not have.
+    """
+    options = options or RegisterOptions()
+    return _prior(_kind(views, options.angles), options.prior)
+
+
 REACH_OF_SPACING = 8.0
 """Typical distances of points by which views may lie apart after the coarse placement."""
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from fringe3d.model import FATES, MergedCloud, Registration, SurfaceMesh, SurfaceView
 from fringe3d.register import odd_views
+from fringe3d.report.recalibration import recalibration_lines, recalibration_text
 
 OPEN_CLOSURE = 5.0
 """Closure over the residuals of the overlaps, from which on the way round does not close."""
@@ -113,6 +114,8 @@ def merge_text(record: dict[str, Any], /) -> str:
             f"table axis through ({at}) mm, direction ({way}); sigma {t['shift_sigma_um']:.2f} um "
             f"across, {t['lean_sigma_urad']:.1f} urad; poses {t['poses_beside_um']:.1f} um beside"
         )
+    if "recalibration" in record:
+        lines.append(recalibration_text(record["recalibration"]))
     return "\n".join(lines)
 
 
@@ -159,7 +162,10 @@ def merge_markdown(record: dict[str, Any], pictures: Sequence[tuple[str, str]], 
     lines += ["## Points", "", "| what became of them | points |", "|---|---|"]
     lines += [f"| {FATES[fate]} | {record['fates'][fate.name.lower()]:,} |"
               for fate in FATES if fate.name.lower() in record["fates"]]  # fmt: skip
-    lines += ["", *_mesh_lines(record), "## Views", "", *_view_lines(record), ""]
+    lines += [""]
+    if "recalibration" in record:
+        lines += recalibration_lines(record["recalibration"])
+    lines += [*_mesh_lines(record), "## Views", "", *_view_lines(record), ""]
     lines += [NOTE, "", f"`{record['command']}`", ""]
     return "\n".join(lines)
 
