@@ -142,6 +142,24 @@ def test_points_beside_a_surface_land_at_their_distance() -> None:
     assert np.isnan(land_on(view, 12.0 * near, -near).distance_mm).all()  # a thin wall's other side
 
 
+def test_past_an_outline_nothing_is_looked_through() -> None:
+    """Points 5 mm before a sphere that was seen but at one pixel: beside that pixel the camera may
+    have seen past whatever stands there, elsewhere it looked through the point.
+    """
+    device = camera((96, 128))
+    points = seen_balls(device, np.array([[0.0, 0, 0, 12.0]]))
+    row, col = 48, 64
+    before = points - 5.0 * rays_of(device)
+    quads = np.stack([before[row - 5, col], before[row, col] + 1e-3, before[row + 5, col]])
+    points[row, col] = np.nan
+    view = surface_view("b", device, points, np.full(device.shape, 0.01))
+    behind = land_on(view, quads).behind_mm
+    np.testing.assert_allclose(behind[[0, 2]], -5.0, atol=0.1)
+    assert np.isnan(behind[1])
+    hidden = land_on(view, before[row, col : col + 1] + 10.0 * rays_of(device)[row, col]).behind_mm
+    np.testing.assert_allclose(hidden, 5.0, atol=0.1)
+
+
 # All views at once
 
 

@@ -102,7 +102,8 @@ def land(points, pixels, grid, normals, sigma, center, reach, out, rows):  # typ
     of the point along the surface's normal, this normal, the standard deviation of the surface
     along it, how much farther the point lies on the ray than the surface, the cosine between ray
     and normal, and the length of the mean of the four normals: less than 1 where the surface bends.
-    Else all are NaN, but the sixth where a pixel next to it has a point.
+    Else all are NaN, but how much farther it lies: where a pixel next to it has a nearer point,
+    and where all four lie behind it. One alone that lies behind is what is seen past an outline.
     """
     n_rows, n_cols = grid.shape[:2]
     for k in range(rows[0], rows[1]):
@@ -117,14 +118,14 @@ def land(points, pixels, grid, normals, sigma, center, reach, out, rows):  # typ
         d0, d1, d2 = points[k, 0] - center[0], points[k, 1] - center[1], points[k, 2] - center[2]
         range_ = math.sqrt(d0 * d0 + d1 * d1 + d2 * d2)
         d0, d1, d2 = d0 / range_, d1 / range_, d2 / range_
-        is_whole = True
+        is_whole = has_all = True
         nearest = np.nan
         for corner in range(4):
             rr, cc = r + corner // 2, c + corner % 2
             w = (fy if corner // 2 else 1 - fy) * (fx if corner % 2 else 1 - fx)
             a, b, d = grid[rr, cc, 0], grid[rr, cc, 1], grid[rr, cc, 2]
             if math.isnan(a):
-                is_whole = False
+                is_whole = has_all = False
                 continue
             depth = (a - center[0]) * d0 + (b - center[1]) * d1 + (d - center[2]) * d2
             if math.isnan(nearest) or abs(range_ - depth) < abs(nearest):
@@ -150,7 +151,8 @@ def land(points, pixels, grid, normals, sigma, center, reach, out, rows):  # typ
                 + normals[rr, cc, 2] * (points[k, 2] - d)
             )
             variance += w * w * sigma[rr, cc] * sigma[rr, cc]
-        out[k, 5] = nearest
+        if has_all or nearest >= 0:
+            out[k, 5] = nearest
         if not is_whole:
             continue
         length = math.sqrt(m0 * m0 + m1 * m1 + m2 * m2)

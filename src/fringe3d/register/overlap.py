@@ -55,7 +55,8 @@ class Landed:
     normals : (n, 3) float; of the surface, in the frame of the other view
     sigma_mm : (n,) float, mm; of the surface along its normal
     behind_mm : (n,) float, mm; how much farther on the ray of the other camera the point lies than
-        the nearest of the surface there; NaN where there is none
+        the nearest of the surface there; NaN where there is none, and where the surface lies behind
+        but beside a pixel without a point: this may be what is seen past an outline
     is_smooth : (n,) bool; the surface does not bend sharply there
     cosine : (n,) float; between the ray of the other camera and the surface's normal
     """
