@@ -389,6 +389,16 @@ def test_points_beside_edges_fill_what_no_view_saw_better() -> None:
     assert sum(more.counts().values()) == sum(view.n_points for view in views)
     off = np.abs(np.linalg.norm(added[:, None] - BALLS[:, :3], axis=-1) - BALLS[:, 3]).min(axis=1)
     assert np.percentile(off, 99) < 0.05  # noise of 5 um along rays that meet the border flatly
+    # A point that is off where its neighbours are not, is dropped; so nothing is off by more.
+    sample = edges[0].sample
+    lift = np.zeros((len(sample.points_mm), 1))
+    lift[::10] = 0.3
+    lifted = replace(sample, points_mm=sample.points_mm + lift * sample.normals)
+    checked = with_edges(cloud, inner, true, [replace(edges[0], sample=lifted), *edges[1:]])
+    left = checked.points_mm[n:]
+    away = np.abs(np.linalg.norm(left[:, None] - BALLS[:, :3], axis=-1) - BALLS[:, 3]).min(axis=1)
+    assert (away > 0.2).sum() == 0
+    assert len(left) > 0.85 * len(added)
     # What was seen is covered: more of all points of the views than the inner ones alone cover.
     seen = np.concatenate([pose.apply(view.points_mm[view.is_valid])
                            for view, pose in zip(views, true, strict=True)])  # fmt: skip

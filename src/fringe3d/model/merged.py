@@ -31,7 +31,7 @@ FATES = {
     Fate.OTHER_LAYER: "dropped: more weighty views saw the surface a little beside",
     Fate.SEEN_THROUGH: "dropped: other views looked through it, and none confirmed it",
     Fate.EDGE: "dropped: beside an edge of what its view saw; another point stands for the place, "
-    "or it is too uncertain",
+    "it is too uncertain, or its neighbours do not confirm it",
 }
 
 

@@ -37,6 +37,16 @@ FRONT = 6.0
 """Typical distances by which another view must have looked through a point to drop it."""
 
 
+NEIGHBOURS, NEIGHBOURHOOD, LEAST_NEIGHBOURS = 12, 3.0, 3
+"""Points around one beside an edge, within so many typical distances, that must confirm it, and how
+many at least: of those that stand alone 15 % lie off by more than 0.1 mm, of the others 3 %."""
+
+BESIDE, BESIDE_SPACING = 3.0, 0.2
+"""Sigmas along the normal, or typical distances of points, by which it may lie beside them: a ninth
+of the points beside edges of simulated teeth are dropped so, and half of those that are off by more
+than 0.1 mm."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class EdgePoints:
     """Points of a view beside its edges.
@@ -122,7 +132,7 @@ def with_edges(
     """Add points beside edges where the merged cloud has none.
 
     Of several at one place the one of the least sigma stands for it. What another view looked
-    through is dropped.
+    through is dropped, and what its neighbours do not confirm.
 
     Parameters
     ----------
@@ -153,6 +163,7 @@ def with_edges(
     places, ways, spread = np.concatenate(points), np.concatenate(normals), np.concatenate(sigma)
     views_of, at = np.concatenate(source), np.concatenate(pixels)
     best = _one_for_each_place(places, ways, spread, spacing)
+    best = best[_is_confirmed(cloud, places[best], ways[best], spread[best], spacing)]
     for k in range(len(views)):
         fates[k].flat[at[best][views_of[best] == k]] = Fate.KEPT
     return replace(
@@ -179,6 +190,32 @@ def _is_covered(
     same = np.zeros(len(points), bool)
     same[near] = (cloud.normals[nearest[near]] * normals[near]).sum(axis=1) > SAME_SIDE
     return same
+
+
+def _is_confirmed(
+    cloud: MergedCloud, points: NDArray[np.float64], normals: NDArray[np.float64],
+    sigma: NDArray[np.float64], spacing_mm: float,
+) -> Bools:  # fmt: skip
+    """Tell which points lie on the surface of their neighbours, of the cloud and among themselves.
+
+    The distance from a neighbour is taken along the mean of both normals: on a curved surface the
+    tangent planes of both err in opposite directions.
+    """
+    if not len(points):
+        return np.zeros(0, bool)
+    places = np.concatenate([points, cloud.points_mm])
+    ways = np.concatenate([normals, cloud.normals.astype(np.float64)])
+    apart, near = (np.asarray(v)[:, 1:] for v in cKDTree(places).query(
+        points, NEIGHBOURS + 1, distance_upper_bound=NEIGHBOURHOOD * spacing_mm))  # fmt: skip
+    known = np.isfinite(apart)
+    near = np.where(known, near, 0)
+    both = ways[near] + normals[:, None]
+    known &= (ways[near] * normals[:, None]).sum(axis=-1) > SAME_SIDE
+    away = 0.5 * (both * (points[:, None] - places[near])).sum(axis=-1)
+    enough = known.sum(axis=1) >= LEAST_NEIGHBOURS
+    beside = np.full(len(points), np.inf)
+    beside[enough] = np.abs(np.nanmedian(np.where(known, away, np.nan)[enough], axis=1))
+    return np.asarray(beside <= np.maximum(BESIDE * sigma, BESIDE_SPACING * spacing_mm))
 
 
 def _looked_through(
