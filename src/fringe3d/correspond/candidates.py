@@ -136,9 +136,9 @@ def choose_orders(
     elif search and not is_known:
         chosen = _unsure(task, chosen)
     if not search:  # a code leaves so few orders that what fits outside is outside
-        chosen = replace(chosen, outside=np.ones(len(task.pixels)))
-    agrees, surface = np.ones(len(task.pixels), bool), np.zeros(len(task.pixels), bool)
-    if together and not views.phases1.is_absolute and len(task.pixels):
+        chosen = replace(chosen, outside=np.ones(len(task.where)))
+    agrees, surface = np.ones(len(task.where), bool), np.zeros(len(task.where), bool)
+    if together and not views.phases1.is_absolute and len(task.where):
         back_views = swapped(views) if search else asked_of_c2(task, chosen)
         back = Task(back_views, projector, volume, task.limit, together=True, keeps=plain)
         agrees, surface = _confirmed(task, chosen, bias, back, projector, strict=strict)
@@ -216,7 +216,7 @@ def _clearly(
     found, task, chosen, agrees = choose_clearly(
         views, projector, volume, bias, coarse, judging=judging
     )
-    chosen = replace(chosen, outside=np.ones(len(task.pixels)))
+    chosen = replace(chosen, outside=np.ones(len(task.where)))
     misses = ~(coarse.tables.ends[..., 0] < coarse.tables.ends[..., 1])
     is_inside = found.state == DECIDED
     rejection = np.zeros(agrees.shape, np.uint16)

@@ -154,6 +154,11 @@ class Choice:
         """Return what C2 has against them, (n,); NaN where it does not see the point."""
         return self._both[1].astype(np.float64)
 
+    def against(self, index: Index, /) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return `cost` and `extra` of some of the pixels."""
+        extra = self.table.extras(self.place[index], index)
+        return self._both[1][index].astype(np.float64), extra.astype(np.float64)
+
     @cached_property
     def is_inside(self) -> NDArray[np.bool_]:
         """Tell whether the points lie in the volume, (n,)."""

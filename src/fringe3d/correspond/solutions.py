@@ -147,7 +147,7 @@ def rivals_around(task: Task, known: CalibrationBias, /) -> Rivals | None:
     -----
     Weights as in `rivals`, with the stored bias and its covariance for what is expected.
     """
-    if known.covariance_px2 is None or not len(task.pixels):
+    if known.covariance_px2 is None or not len(task.where):
         return None
     found: list[Solution] = []
     for start in _starts_around(task, known):
@@ -202,7 +202,7 @@ def rivals(tasks: Sequence[Task], /) -> Rivals | None:
     Neighbours within a patch share their errors and count once; a jump of the absolute phase
     between neighbours is a depth edge, of which all solutions see the true ones.
     """
-    tasks = [task for task in tasks if len(task.pixels)]
+    tasks = [task for task in tasks if len(task.where)]
     if not tasks:
         return None
     way, frame = _epipolar_way(tasks[0]), tasks[0].frame
@@ -294,7 +294,7 @@ def _judged(
     energy, orders = _surprise(tasks[0].frame, bias, known), []
     for task in tasks:
         chosen = task.decide(bias, scatter_px=JUDGED_SCATTER_PX)
-        if len(task.pixels) and np.median(task.first[1]) >= NOISE_THAT_JUMPS_RAD:
+        if len(task.where) and np.median(task.first[1]) >= NOISE_THAT_JUMPS_RAD:
             chosen = made_whole(task, chosen)
         seen = np.isfinite(chosen.cost)  # what lies beyond the border of C2 tells nothing
         cost = np.fmin(chosen.cost[seen] / 2, LARGEST_COST) * (len(seen) / max(1, seen.sum()))

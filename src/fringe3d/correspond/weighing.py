@@ -125,7 +125,8 @@ class Task:
         self.keeps = keeps or not self._may_be_unlisted()
         if self.keeps:
             self.listed = self._listed()
-        self.before = np.full(len(self.where), np.nan)  # absolute phase in the frame before, turns
+        # absolute phase in the frame before, turns
+        self.before: NDArray[np.float64] = np.broadcast_to(np.nan, self.where.shape)
 
     @cached_property
     def frame(self) -> Frame:

@@ -165,7 +165,7 @@ def _hidden_from_c2(task: Task, chosen: Choice) -> Bools:
 def _against(chosen: Choice, index: NDArray[np.intp]) -> NDArray[np.float64]:
     """Return what speaks against the chosen candidates of some pixels, half squares; NaN where C2
     does not see them."""
-    costs, extras = chosen.cost[index], chosen.extra[index]
+    costs, extras = chosen.against(index)
     return np.asarray(
         np.minimum(costs, LARGEST_REFUTATION) / 2 + np.minimum(extras / 2, LARGEST_EXTRA)
     )
