@@ -259,6 +259,20 @@ def test_interrupt_or_end_at_any_question_leaves_nothing_behind(
     assert {"0.png", "1.png"} == {path.name for path in small.iterdir()}
 
 
+def test_a_calibration_beside_the_images_is_found_by_its_name(
+    small: Path, rig: Rig, type_in: TypeIn, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """After the question that follows the one for it, Ctrl-C: the file was read."""
+    write_calibration(small_rig(rig).cameras, small / "stereo.yml")
+    type_in("", "c2={index}.png", "unused count=2", "", "", "stereo.yml", KeyboardInterrupt())
+    failure(["import", "images"], exit_code=130)
+    assert "expected a calibration file" not in capsys.readouterr().err
+    (small / "stereo.yml").unlink()
+    type_in("", "c2={index}.png", "unused count=2", "", "", "stereo.yml", KeyboardInterrupt())
+    failure(["import", "images"], exit_code=130)
+    assert "stereo.yml: expected a calibration file, found none" in capsys.readouterr().err
+
+
 # ----------------------------------------------------------------------------- the single questions
 
 

@@ -45,6 +45,8 @@ What was projected, in recorded order. Enter ends the list, - takes the last ent
   gray cell_px=30 n_bits=6 direction=x inverses=interleaved bright_is=1
   light | dark | unused count=2"""
 
+CALIBRATIONS = (".yml", ".yaml", ".xml", ".json", ".toml")
+
 RIG_HELP = """\
 The file of a calibration by OpenCV (.yml, .xml, .json) or of a rig (.toml). Enter for none:
 then there will be phases but no points."""
@@ -209,7 +211,7 @@ def _ask_rig(
             if not asked:
                 _tell(RIG_HELP)
             asked = True
-            path = _path(_line("Calibration or rig: "))
+            path = _path(_line("Calibration or rig: "), options.images)
             if path is None:
                 return replace(options, rig=None, calibration=None), None
         except Fringe3DError as problem:
@@ -217,10 +219,15 @@ def _ask_rig(
             path = None
 
 
-def _path(answer: str) -> Path | None:
+def _path(answer: str, images: Path) -> Path | None:
+    """Return the file that is meant: from here, or else beside the images."""
     # A terminal puts quotes around the path of a file that is dropped on it.
     bare = answer.strip("'\"")
-    return Path(bare).expanduser() if bare else None
+    if not bare:
+        return None
+    path = Path(bare).expanduser()
+    is_beside = path.suffix.lower() in CALIBRATIONS and (images / path).is_file()
+    return images / path if is_beside and not path.exists() else path
 
 
 def _with_rig(
