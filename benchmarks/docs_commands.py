@@ -182,10 +182,18 @@ def prepare(words: list[str], page: Path, made: Path) -> None:
             shutil.rmtree(out)
         else:
             Path(out).unlink(missing_ok=True)
-            Path(out).with_suffix(".png").unlink(missing_ok=True)  # what some leave beside
+            left = [Path(out).with_suffix(".png")]  # what some leave beside
+            for ending in ("md", "png"):
+                left += Path(out).parent.glob(f"{Path(out).stem}-*.{ending}")
+            for beside in left:
+                beside.unlink(missing_ok=True)
     for word in words[1:]:
         name = word.split("=")[-1]  # of NAME=FILE
-        if name == "FOLDER":
+        if name == "FOLDER" and "--board" in words and "--scan" not in words:
+            prepare(["", "poses"], page, made)
+            Path("FOLDER").unlink(missing_ok=True)
+            Path("FOLDER").symlink_to("poses")
+        elif name == "FOLDER":
             recorded_by_others(" ".join(words))
         elif name in MAKERS and name not in outs and not Path(name).exists():
             make(name, page, made)

@@ -276,10 +276,12 @@ class LiveView:
         right, up, ahead = np.array([1.0, 0, 0]), np.array([0, -1.0, 0]), np.array([0, 0, 1.0])
         if rig is not None:
             right, up, ahead = rig.cameras[0].device_from_world.rotation * [[1], [-1], [1]]
-        position, target = -1.3 * reach * ahead, np.zeros(3)
+        # Several results stand in a row that begins in the middle of the first.
+        target = (len(self._shown) - 1) / 2 * BETWEEN * reach / len(self._shown) * right
+        position = target - 1.3 * reach * ahead
         if whole_rig and rig is not None:
             centers = np.array([device.center_world for device in rig.devices]) - self._middle
-            target = (centers.mean(axis=0) + target) / 2
+            target = centers.mean(axis=0) / 2
             away = WHOLE_RIG * max(reach / 2, np.linalg.norm(centers - target, axis=1).max())
             position = target + away * (-0.8 * right + 0.45 * up - 0.4 * ahead)
         return _place(position), _place(target), _place(up)
