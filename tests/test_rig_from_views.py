@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -23,7 +24,9 @@ BOX = np.stack(np.meshgrid(SPAN, SPAN, SPAN, indexing="ij"), axis=-1).reshape(-1
 """Points of the body's box, mm."""
 
 
-def turned(device: Device, name: str, *, role: str, yaw_deg: float) -> Device:
+def turned(
+    device: Device, name: str, *, role: Literal["camera", "projector"], yaw_deg: float
+) -> Device:
     """Return the same device, carried about the y axis of the world."""
     carry = Rotation.from_euler("y", yaw_deg, degrees=True).as_matrix()
     pose = device.device_from_world
@@ -32,10 +35,8 @@ def turned(device: Device, name: str, *, role: str, yaw_deg: float) -> Device:
 
 
 C1 = camera()
-TRUE = Rig(
-    cameras=(C1, turned(C1, "c2", role="camera", yaw_deg=28)),
-    projector=turned(C1, "projector", role="projector", yaw_deg=11),
-)
+LIGHT = turned(C1, "projector", role="projector", yaw_deg=11)
+TRUE = Rig(cameras=(C1, turned(C1, "c2", role="camera", yaw_deg=28)), projector=LIGHT)
 
 
 def image(device: Device, points: Floats) -> Floats:
@@ -74,15 +75,17 @@ def homologous(angle: float, noise_px: float) -> Homologous:
     first = np.cross(own, [0.3, 0.9, 0.1])
     both = (first, np.cross(own, first))
     by_c2 = np.stack([slopes(TRUE.cameras[1], points, way) for way in both], axis=2)
-    by_light = np.stack([slopes(TRUE.projector, points, way)[:, 0] for way in both], axis=1)
-    slope = np.linalg.solve(by_c2.transpose(0, 2, 1), by_light[..., None])[..., 0]
+    by_light = np.stack([slopes(LIGHT, points, way)[:, 0] for way in both], axis=1)
+    slope = np.linalg.solve(by_c2.transpose(0, 2, 1), by_light[..., None])[..., 0].astype(
+        np.float64
+    )
     rng, n = np.random.default_rng([1, int(angle)]), len(points)
     noise, noise2 = rng.normal(0, noise_px, (2, n, 1))
     rows, cols = np.divmod(np.flatnonzero(good), C1.n_cols)
     sigma = np.full((n, 1), noise_px)
     sight = Sight(device="c2", pixels=image(TRUE.cameras[1], points), ahead_px=noise2 - noise,
                   slopes=slope[:, None], sigma_px=sigma)  # fmt: skip
-    place = image(TRUE.projector, points)[:, :1] + 0.5 + noise
+    place = image(LIGHT, points)[:, :1] + 0.5 + noise
     return Homologous(pixels_c1=np.stack([cols, rows], axis=1).astype(float), angles=(0.0,),
                       position_px=place, sigma_px=sigma, sights=(sight,))  # fmt: skip
 
