@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from closed_form import Recording
 from closed_phases import Surface, grid_of, phase_map, seen_points, small_rig, true_turns, visible
 from fringe3d.correspond import following, lit_before, orders_of_before, seen_before
+from fringe3d.decoding import carried_from_points, carried_on
 from fringe3d.errors import MethodError
 from fringe3d.model import NO_ORDER, PhaseMap, Rejection, Rig, Scan
 from fringe3d.pipeline import MeasureOptions, measure
@@ -197,6 +198,28 @@ def test_what_is_lost_is_measured_anew(recording: Recording, rig: Rig) -> None:
     np.testing.assert_array_equal(again.points.points_mm, first.points.points_mm)
 
 
-def test_to_follow_takes_a_frame_before(recording: Recording, rig: Rig) -> None:
-    with pytest.raises(MethodError, match="frame before"):
-        measure(Scan(stacks=recording[0].stacks, rig=rig), MeasureOptions(follow=True))
+def test_orders_that_are_carried_on_beforehand_give_the_same(
+    recording: Recording, rig: Rig
+) -> None:
+    """While the frame before is being measured; those of another frame are not taken."""
+    stacks = recording[0].stacks
+    session = Session(rig, stacks[0].plan, MeasureOptions(method="m2", gray_bits=3), keep=False)
+    first = session.follow(stacks, session.measure(stacks))
+    wanted = session.follow(stacks, first)
+    shown = session.decode(stacks)
+    early, stale = carried_on(shown, first.phases), carried_on(shown, wanted.phases)
+    assert session.carry_on(early, first) is early
+    assert session.carry_on(stale, first) is not stale
+    for frame in (early, stale):
+        found = session.follow(frame, first)
+        assert found.points is not None
+        assert wanted.points is not None
+        np.testing.assert_array_equal(found.points.points_mm, wanted.points.points_mm)
+
+
+def test_to_follow_points_takes_a_projector(recording: Recording, rig: Rig) -> None:
+    alone = replace(rig, projector=None)
+    session = Session(alone, recording[0].stacks[0].plan, MeasureOptions(method="m1"), keep=False)
+    shown = session.decode(recording[0].stacks)
+    with pytest.raises(MethodError, match="calibrated projector"):
+        carried_from_points(shown, shown.phases, np.zeros((*shown.main.phase.shape, 3)))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import cv2
@@ -20,7 +21,7 @@ from fringe3d.errors import MethodError
 from fringe3d.io.rigfile import rig_text
 from fringe3d.io.scanfile import plan_text
 from fringe3d.io.scanfolder import write_scan
-from fringe3d.live import Live, Moment, SlidingWindow, Steps, measuring, running
+from fringe3d.live import Frame, Live, Moment, SlidingWindow, Steps, measuring, running
 from fringe3d.model import ImageStack, PatternPlan
 from fringe3d.model.plan import fringes
 from fringe3d.options import MeasureOptions
@@ -150,10 +151,16 @@ def test_orders_are_found_anew_in_a_part_of_the_time() -> None:
     clock, did = VirtualClock(), []
 
     class Slow:
-        def measure(self, *_: object, **__: object) -> Measurement:
+        def measure(self, *_: object, **__: object) -> Any:
             did.append("anew")
             clock.sleep(60.0 if len(did) == 1 else 1.0)
             return Measurement(method="m2", why="", n_images=4, phases=())
+
+        def may_follow(self, _: object) -> bool:
+            return True
+
+        def carry_on(self, shown: Any, _: object) -> Any:
+            return shown
 
         def follow(self, _: object, before: Measurement) -> Measurement:
             did.append("followed")
@@ -161,11 +168,14 @@ def test_orders_are_found_anew_in_a_part_of_the_time() -> None:
             return before
 
     steps = measuring(Slow(), clock, renewing=0.25)  # type: ignore[arg-type]
-    before = None
+    before, orders = None, []
     for _ in range(64):
-        before = steps.measure(None, before)  # type: ignore[arg-type]
+        frame = Frame(SimpleNamespace(carried=SimpleNamespace(phases=())))  # type: ignore[arg-type]
+        before = steps.measure(frame, before)
+        orders.append(frame.orders.result(timeout=0))
     anew = [i for i, what in enumerate(did) if what == "anew"]
     assert anew == [0, 1, 26, 51]
+    assert [i for i, known in enumerate(orders) if known is None] == anew
 
 
 def options_of(folder: Path, **more: object) -> LiveOptions:

@@ -76,9 +76,7 @@ def homologous(angle: float, noise_px: float) -> Homologous:
     both = (first, np.cross(own, first))
     by_c2 = np.stack([slopes(TRUE.cameras[1], points, way) for way in both], axis=2)
     by_light = np.stack([slopes(LIGHT, points, way)[:, 0] for way in both], axis=1)
-    slope = np.linalg.solve(by_c2.transpose(0, 2, 1), by_light[..., None])[..., 0].astype(
-        np.float64
-    )
+    slope = np.linalg.solve(by_c2.transpose(0, 2, 1), by_light[..., None])[..., 0].astype(float)
     rng, n = np.random.default_rng([1, int(angle)]), len(points)
     noise, noise2 = rng.normal(0, noise_px, (2, n, 1))
     rows, cols = np.divmod(np.flatnonzero(good), C1.n_cols)

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
 
 from fringe3d.decode import (
     CameraPhases,
@@ -15,12 +18,27 @@ from fringe3d.decode import (
     response_from_fringes,
     without_saturated,
 )
+from fringe3d.errors import MethodError
 from fringe3d.health import Finding, check_files, check_phases
 from fringe3d.kernels import alongside
-from fringe3d.matching import best_direction_first
+from fringe3d.matching import best_direction_first, followed, followed_from_points
 from fringe3d.methods import Choice, choose_method, images_of, settle
 from fringe3d.model import Device, ImageStack, MeasuringVolume, PhaseMap, Rig, Scan
 from fringe3d.options import MeasureOptions, keep_images, volume_of
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Carried:
+    """Phases with fringe orders that go on from a frame before.
+
+    Parameters
+    ----------
+    phases : tuple of CameraPhases
+    after : tuple of CameraPhases; those of the frame before
+    """
+
+    phases: tuple[CameraPhases, ...]
+    after: tuple[CameraPhases, ...]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -35,6 +53,7 @@ class Decoded:
     rig : Rig or None
     volume : MeasuringVolume or None
     findings : callable; waits for the checks of images and phases, and returns what they found
+    carried : Carried or None; orders that go on from a frame before, in a stream
     """
 
     phases: tuple[CameraPhases, ...]
@@ -43,6 +62,7 @@ class Decoded:
     rig: Rig | None
     volume: MeasuringVolume | None
     findings: Callable[[], Sequence[Finding]]
+    carried: Carried | None = None
 
     @property
     def main(self) -> PhaseMap:
@@ -80,6 +100,32 @@ def decoded(scan: Scan, options: MeasureOptions, /) -> Decoded:
     return Decoded(phases=phases, choice=settle(choice, main, rig, volume, options),
                    n_images=used[0].plan.n_images, rig=rig, volume=volume,
                    findings=findings)  # fmt: skip
+
+
+def carried_on(shown: Decoded, after: tuple[CameraPhases, ...], /) -> Decoded:
+    """Return it with the fringe orders that go on from absolute phases of the frame before."""
+    return replace(shown, carried=Carried(followed(shown.phases, after), after))
+
+
+def carried_from_points(
+    shown: Decoded, after: tuple[CameraPhases, ...], points_mm: NDArray[np.float64], /
+) -> Decoded:
+    """Return it with those that go on from points (row, col, 3), mm, whose phases have no orders.
+
+    Raises
+    ------
+    MethodError
+        If there is no second camera, or no calibrated projector, which tells where they were lit.
+    """
+    other = shown.devices()[1]
+    projector = shown.rig.projector if shown.rig is not None else None
+    if other.role != "camera" or projector is None:
+        raise MethodError(
+            "follow: expected two cameras and a calibrated projector, which tells where points "
+            "were lit. Measure this frame without the one before"
+        )
+    phases = followed_from_points(shown.phases, other, projector, points_mm)
+    return replace(shown, carried=Carried(phases, after))
 
 
 def _without_saturated(stack: ImageStack, options: MeasureOptions) -> ImageStack:

@@ -60,6 +60,8 @@ from fringe3d.triangulate import triangulate
 MIN_CROSSING_SINE = 0.05
 """3 degrees between fringes and epipolar lines; sigma is twenty times that of a square crossing."""
 
+TURN = 2 * np.pi
+
 SAMPLE_STEP_PX, SAMPLE_ROWS = 8, 40
 
 MAX_TRINOCULAR_PX = 3.0
@@ -119,35 +121,29 @@ def best_direction_first(
 
 
 def followed(
-    phases: Sequence[CameraPhases],
-    other: Device,
-    projector: Device | None,
-    previous_mm: NDArray[np.float64] | None,
-    previous_phases: Sequence[CameraPhases],
-    /,
+    phases: Sequence[CameraPhases], before: Sequence[CameraPhases], /
 ) -> tuple[CameraPhases, ...]:
-    """Give two cameras the fringe orders that go on from the points of the frame before.
+    """Give two cameras the fringe orders that go on from those of the frame before.
 
-    Where it was followed itself its phases are known: pixels without a point go on from them, too.
-    They were of no use then, and may be now; without them each frame would lose a little more along
-    the edges.
-
-    Raises
-    ------
-    MethodError
-        If there is no frame before, no second camera, or no calibrated projector.
+    Pixels without a point go on, too: they were of no use then, and may be now; without them each
+    frame would lose a little more along the edges.
     """
-    if previous_mm is None or other.role != "camera" or projector is None:
-        raise MethodError(
-            "follow: expected the points of the frame before, two cameras and a calibrated "
-            "projector, which tells where they were lit. Measure this frame without it"
-        )
+    return _ordered(phases, [p.directions[0].main.absolute_phase / TURN for p in before[:2]])
+
+
+def followed_from_points(
+    phases: Sequence[CameraPhases], other: Device, projector: Device, points_mm: NDArray[np.float64]
+) -> tuple[CameraPhases, ...]:
+    """Give two cameras the fringe orders that go on from points (row, col, 3), mm, of C1."""
+    lit = lit_before(phases[0].directions[0].main, projector, points_mm)
+    return _ordered(phases, [lit, seen_before(lit, points_mm, other)])
+
+
+def _ordered(
+    phases: Sequence[CameraPhases], turns: Sequence[NDArray[np.float64]]
+) -> tuple[CameraPhases, ...]:
+    """Return the phases with the orders that are nearest to absolute phases of before, turns."""
     main = phases[0].directions[0].main
-    if previous_phases:
-        turns = [p.directions[0].main.absolute_phase / (2 * np.pi) for p in previous_phases]
-    else:
-        lit = lit_before(main, projector, previous_mm)
-        turns = [lit, seen_before(lit, previous_mm, other)]
     firsts = [own.directions[0].like(main) for own in phases[:2]]
     second = alongside(orders_of_before, firsts[1], turns[1])
     orders = [orders_of_before(firsts[0], turns[0]), second()]
@@ -171,6 +167,7 @@ def match(
     bias: CalibrationBias | None = None,
     cameras: Sequence[Device] = (),
     previous_mm: NDArray[np.float64] | None = None,
+    is_carried: bool = False,
 ) -> Matched:
     """Find the correspondences of C1 with the second camera, or with the projector.
 
@@ -186,6 +183,7 @@ def match(
     cameras : Device of further cameras, whose phases follow those of `camera` and `other`; M6 asks
         them, too
     previous_mm : (row, col, 3) float or None; points of the frame before, for M6
+    is_carried : bool; the orders go on from a frame before, in which all was asked
 
     Returns
     -------
@@ -213,7 +211,7 @@ def match(
     if (
         projector is not None
         and volume is not None
-        and (options.follow or _may_judge(views, projector, volume))
+        and (is_carried or _may_judge(views, projector, volume))
     ):
         witnesses = None
         if method == "m6":

@@ -61,8 +61,6 @@ class MeasureOptions:
         projector disagree, see `fringe3d.reflections`
     own_response : bool; take out of the phases what a nonlinear response (gamma) does to them, as
         these images show it; else that of the stacks
-    follow : bool; the fringe orders are those of the frame before, gone on from: fast, and only
-        for frames that follow each other closely, see `fringe3d.session.Session.follow`
     """
 
     method: Method = "auto"
@@ -81,7 +79,6 @@ class MeasureOptions:
     outliers: Filter = "none"
     reflections: Filter = "none"
     own_response: bool = False
-    follow: bool = False
 
 
 def keep_images(stack: ImageStack, options: MeasureOptions, /) -> ImageStack:

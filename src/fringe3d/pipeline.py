@@ -28,7 +28,7 @@ from fringe3d.health import (
     check_yield,
 )
 from fringe3d.kernels import alongside
-from fringe3d.matching import Matched, followed, match
+from fringe3d.matching import Matched, match
 from fringe3d.measurement import Measurement, StageClock, point_cloud
 from fringe3d.model import (
     Correspondences,
@@ -74,7 +74,6 @@ def measure(
     *,
     stage: Callable[[str], object] = str,
     previous_mm: NDArray[np.float64] | None = None,
-    previous_phases: Sequence[CameraPhases] = (),
 ) -> Measurement:
     """Measure: decode, find correspondences, triangulate, check.
 
@@ -85,8 +84,6 @@ def measure(
     stage : called with the name of each stage as it begins
     previous_mm : (row, col, 3) float or None, mm; points of the frame before in the pixels of C1,
         NaN where there are none; method M6 prefers what goes on from them
-    previous_phases : CameraPhases of each camera of the frame before, with their orders, where it
-        was followed, too
 
     Returns
     -------
@@ -106,8 +103,7 @@ def measure(
     clock = StageClock(stage)
     with clock("decoding"):
         shown = decoded(scan, options)
-    return measure_decoded(shown, options, clock=clock, previous_mm=previous_mm,
-                           previous_phases=previous_phases)  # fmt: skip
+    return measure_decoded(shown, options, clock=clock, previous_mm=previous_mm)
 
 
 def measure_decoded(
@@ -117,9 +113,8 @@ def measure_decoded(
     *,
     clock: StageClock | None = None,
     previous_mm: NDArray[np.float64] | None = None,
-    previous_phases: Sequence[CameraPhases] = (),
 ) -> Measurement:
-    """Measure what is decoded already; as `measure`."""
+    """Measure what is decoded already, as `measure`; orders that are carried on are taken."""
     clock, phases = clock or StageClock(str), shown.phases
     choice, volume, main = shown.choice, shown.volume, shown.main
     result = Measurement(method=choice.method, why=choice.why, phases=phases,
@@ -127,24 +122,25 @@ def measure_decoded(
     if shown.rig is None:
         return _finish(replace(result, findings=tuple(shown.findings())), clock)
 
-    _require_previous(previous_mm, main, choice.method, options)
+    _require_previous(previous_mm, main, choice.method)
     camera, other = shown.devices()
     rig, projector = _with_own_bias(shown.rig, camera, other), shown.rig.projector
-    method = choice.method
-    if options.follow:
-        phases, method = followed(phases, other, projector, previous_mm, previous_phases), "m1"
+    method, is_carried = choice.method, shown.carried is not None
+    if shown.carried is not None:
+        phases, method = shown.carried.phases, "m1"
         main = phases[0].directions[0].main
         result = replace(result, phases=phases, why="fringe orders go on from the frame before")
     with clock("finding correspondences"):
         matched = match(phases, camera, other, projector, volume, method=method,
                         options=options, bias=rig.bias, previous_mm=previous_mm,
-                        cameras=_further_cameras(rig, phases))  # fmt: skip
+                        cameras=_further_cameras(rig, phases),
+                        is_carried=is_carried)  # fmt: skip
         matches = matched.matches
         findings = _check_orders(matched, main, rig, volume, method)
-        if previous_mm is not None and projector is not None and not options.follow:
+        if previous_mm is not None and projector is not None:
             findings += check_previous(matches, main, projector, previous_mm)
     with clock("triangulating"):
-        is_checked = other.role == "camera" and not options.follow
+        is_checked = other.role == "camera" and not is_carried
         of_texture = alongside(_check_texture, matches, phases, camera, other, is_checked)
         points = _triangulated(matched, camera, other, volume)
         points = _with_projector(points, matches, phases, camera, other, projector, options)
@@ -255,9 +251,7 @@ def _with_own_bias(rig: Rig, camera: Device, other: Device) -> Rig:
     return rig if is_own else replace(rig, bias=None)
 
 
-def _require_previous(
-    previous_mm: NDArray[np.float64] | None, main: PhaseMap, method: str, options: MeasureOptions
-) -> None:
+def _require_previous(previous_mm: NDArray[np.float64] | None, main: PhaseMap, method: str) -> None:
     """Raise MethodError if there is a frame before, but of no use."""
     if previous_mm is None:
         return
@@ -266,7 +260,7 @@ def _require_previous(
             f"previous_mm: expected points on the pixels of C1, (row, col, 3) = "
             f"{(*main.phase.shape, 3)}, found {previous_mm.shape}"
         )
-    if method != "m6" and not options.follow:
+    if method != "m6":
         raise MethodError(
             f"--previous: expected method m6, which alone uses the frame before, found {method}. "
             "Add --method m6, or leave --previous out"

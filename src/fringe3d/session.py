@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fringe3d.correspond import keep_curves
-from fringe3d.decoding import Decoded, decoded
+from fringe3d.decoding import Decoded, carried_from_points, carried_on, decoded
 from fringe3d.errors import CalibrationError, EmptyResultError, MethodError
 from fringe3d.io.cache import mapped
 from fringe3d.model import ImageStack, PatternPlan, Rig, Scan
@@ -117,7 +117,8 @@ class Session:
         CalibrationError, EmptyResultError
             As `fringe3d.pipeline.measure`.
         """
-        return measure_decoded(self._decoded(shown), self.options, previous_mm=previous_mm)
+        shown = replace(self._decoded(shown), carried=None)
+        return measure_decoded(shown, self.options, previous_mm=previous_mm)
 
     def follow(self, shown: Sequence[ImageStack] | Decoded, before: Measurement, /) -> Measurement:
         """Measure what one recording shows, a moment after another.
@@ -144,20 +145,33 @@ class Session:
             As `measure`.
         """
         shown = self._decoded(shown)
-        is_of_use = before.points is not None and before.bias is not None
-        if shown.rig is None or not is_of_use or before.method not in FOLLOWING:
+        if shown.rig is None or not self.may_follow(before):
             return self.measure(shown)
-        assert before.points is not None
+        carried = self.carry_on(shown, before)
         try:
-            found = measure_decoded(
-                replace(shown, rig=replace(shown.rig, bias=None)),
-                replace(self.options, follow=True),
-                previous_mm=before.points.points_mm,
-                previous_phases=before.phases if before.main.is_absolute else (),
-            )
+            rig = replace(shown.rig, bias=None)
+            found = measure_decoded(replace(carried, rig=rig), self.options)
         except (CalibrationError, EmptyResultError):
             return self.measure(shown)
         return found if self._goes_on(found, before) else self.measure(shown)
+
+    def may_follow(self, before: Measurement, /) -> bool:
+        """Tell whether orders can go on from a frame: it was measured by M2 to M6, with a bias."""
+        is_of_use = before.points is not None and before.bias is not None
+        return self.rig is not None and is_of_use and before.method in FOLLOWING
+
+    def carry_on(self, shown: Decoded, before: Measurement, /) -> Decoded:
+        """Return it with the fringe orders that go on from the frame before, as `follow` does it.
+
+        The part of `follow` that needs no points where the frame before was followed, too; what has
+        the orders already is returned as it is.
+        """
+        if shown.carried is not None and shown.carried.after is before.phases:
+            return shown
+        if before.main.is_absolute:
+            return carried_on(shown, before.phases)
+        assert before.points is not None
+        return carried_from_points(shown, before.phases, before.points.points_mm)
 
     def _decoded(self, shown: Sequence[ImageStack] | Decoded) -> Decoded:
         return shown if isinstance(shown, Decoded) else self.decode(shown)

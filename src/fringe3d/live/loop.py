@@ -5,14 +5,14 @@ from __future__ import annotations
 import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
-from fringe3d.decode import stilled
-from fringe3d.decoding import Decoded
+from fringe3d.decode import CameraPhases, stilled
+from fringe3d.decoding import Decoded, carried_on
 from fringe3d.devices import Clock
 from fringe3d.errors import Fringe3DError
 from fringe3d.live.window import Moment, SlidingWindow
@@ -27,6 +27,9 @@ KEPT_TIMES = 200
 """Of the newest clouds, of which the latency is told."""
 
 IDLE_S = 0.05
+
+SETTLING_S = 2.0
+"""Within which the orders of a frame are settled after the frame before was measured."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -66,11 +69,26 @@ class _Job:
     newest: Moment
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Frame:
+    """A sequence that is decoded.
+
+    Parameters
+    ----------
+    shown : Decoded
+    orders : Future; the phases of all cameras with the orders that go on from the frame before, as
+        soon as they are settled; None where this frame is measured anew
+    """
+
+    shown: Decoded
+    orders: Future[tuple[CameraPhases, ...] | None] = field(default_factory=Future)
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Ready:
     job: _Job
     stacks: tuple[ImageStack, ...]
-    shown: Decoded | None
+    shown: Frame | None
 
 
 Show = Callable[[Measurement | None, tuple[ImageStack, ...], Figures], None]
@@ -86,8 +104,8 @@ class Steps:
     measure : function of what was decoded, and of the measurement before (or None)
     """
 
-    decode: Callable[[tuple[ImageStack, ...], tuple[int, ...]], Decoded]
-    measure: Callable[[Decoded, Measurement | None], Measurement]
+    decode: Callable[[tuple[ImageStack, ...], tuple[int, ...]], Frame]
+    measure: Callable[[Frame, Measurement | None], Measurement]
 
 
 class Live:
@@ -255,21 +273,57 @@ def measuring(
     renewing : float, 0 to 1; part of the time in which the fringe orders are found anew; else they
         go on from the cloud before (`fringe3d.session.Session.follow`)
     """
-    due_s = clock.now()
+    stream = _Stream(session, clock, uses_previous=uses_previous, still=still, renewing=renewing)
+    return Steps(stream.decode, stream.measure)
 
-    def decode(stacks: tuple[ImageStack, ...], times: tuple[int, ...]) -> Decoded:
-        return session.decode([stilled(s, times) for s in stacks] if still else stacks)
 
-    def measure(shown: Decoded, before: Measurement | None) -> Measurement:
-        nonlocal due_s
-        begin = clock.now()
-        if before is not None and begin < due_s:
-            return session.follow(shown, before)
-        points = before.points if uses_previous and before is not None else None
-        found = session.measure(shown, previous_mm=None if points is None else points.points_mm)
-        end = clock.now()
+class _Stream:
+    """Frames of a session, one after the other.
+
+    While a frame is measured, the next one gets the orders that go on from it: they are settled as
+    its measurement begins.
+    """
+
+    def __init__(
+        self, session: Session, clock: Clock, *, uses_previous: bool, still: bool, renewing: float
+    ) -> None:
+        self._session, self._clock = session, clock
+        self._uses_previous, self._still, self._renewing = uses_previous, still, renewing
+        self._due_s = clock.now()
+        self._last: Frame | None = None
+
+    def decode(self, stacks: tuple[ImageStack, ...], times: tuple[int, ...]) -> Frame:
+        """Decode, and carry the orders on where those of the frame before are settled so."""
+        taken = [stilled(s, times) for s in stacks] if self._still else stacks
+        shown = self._session.decode(taken)
+        before = self._orders_before()
+        self._last = Frame(shown if before is None else carried_on(shown, before))
+        return self._last
+
+    def _orders_before(self) -> tuple[CameraPhases, ...] | None:
+        if self._last is None:
+            return None
+        try:
+            return self._last.orders.result(timeout=SETTLING_S)
+        except TimeoutError:  # nobody measures any more
+            return None
+
+    def measure(self, frame: Frame, before: Measurement | None) -> Measurement:
+        """Go on from the frame before, or measure anew where that is due."""
+        begin = self._clock.now()
+        try:
+            if before is not None and begin < self._due_s and self._session.may_follow(before):
+                shown = self._session.carry_on(frame.shown, before)
+                assert shown.carried is not None
+                frame.orders.set_result(shown.carried.phases)
+                return self._session.follow(shown, before)
+        finally:
+            if not frame.orders.done():
+                frame.orders.set_result(None)
+        points = before.points if self._uses_previous and before is not None else None
+        previous_mm = None if points is None else points.points_mm
+        found = self._session.measure(frame.shown, previous_mm=previous_mm)
+        end, took = self._clock.now(), self._clock.now() - begin
         # The first may have waited for the compiler.
-        due_s = end + (end - begin) * (1 / renewing - 1) if before is not None else end
+        self._due_s = end if before is None else end + took * (1 / self._renewing - 1)
         return found
-
-    return Steps(decode, measure)
