@@ -21,7 +21,7 @@ DEPTH_STEP = 1e-4
 """Part of the depth by which a point is moved to find its speed in the other image; as in
 `geometry.meeting`."""
 
-GAP_ROWS = 256
+GAP_ROWS = 96
 """Rows from which the typical distance of neighbours is taken."""
 
 MAX_SIGMA_OF_DEPTH = 0.02

@@ -113,7 +113,10 @@ def carry_on(phase, rises, smooth, reach, order):  # type: ignore[no-untyped-def
     """Give pixels without an order that of a smooth neighbour, `reach` pixels far, (row, col)."""
     n_rows, n_cols = order.shape
     away = np.zeros(order.shape, np.uint8)
+    n_given = np.zeros(4, np.int64)
     for sweep in range(4):
+        if sweep >= 2 and n_given[sweep - 1] + n_given[sweep - 2] == 0:
+            break  # both ways nothing was given
         sign = 1 if sweep % 2 == 0 else -1
         for line in range(n_rows):
             row = line if sign > 0 else n_rows - 1 - line
@@ -132,4 +135,5 @@ def carry_on(phase, rises, smooth, reach, order):  # type: ignore[no-untyped-def
                         rise = sign * rises[axis, first_row, first_col]
                         order[row, col] = _demanded(order[y, x], phase[y, x], rise, phase[row, col])
                         away[row, col] = away[y, x] + 1
+                        n_given[sweep] += 1
                         break

@@ -18,6 +18,7 @@ from fringe3d.model import (
     MeasuringVolume,
     PhaseMap,
     Rejection,
+    some_known,
 )
 from fringe3d.model.rejection import reject
 
@@ -145,9 +146,8 @@ def fringe_crossing(phases2: PhaseMap, camera1: Device, camera2: Device, /) -> t
         point can be found. NaN where nothing is decoded.
     """
     phase = phases2.phase
-    inner = np.isfinite(phase[1:-1, 1:-1])
-    index = np.flatnonzero(inner)
-    rows, cols = np.unravel_index(index[:: max(1, len(index) // SAMPLE) | 1], inner.shape)
+    inner = phase[1:-1, 1:-1]
+    rows, cols = np.unravel_index(some_known(inner, SAMPLE), inner.shape)
     right, below = phase[rows + 1, cols + 2], phase[rows + 2, cols + 1]
     left, above = phase[rows + 1, cols], phase[rows, cols + 1]
     gradient = np.stack([right - left, below - above], axis=-1).astype(np.float64)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from fringe3d.decode import CameraPhases, DirectionPhases
 from fringe3d.health.finding import Finding, Level
-from fringe3d.model import PhaseMap, WrappedPhaseMap
+from fringe3d.model import PhaseMap, WrappedPhaseMap, some_known
 
 TWO_PI = 2 * np.pi
 MENDED_WARNING, MENDED_ERROR = 0.08, 0.2
@@ -280,19 +280,12 @@ def _periods_seen(main: PhaseMap, period_px: float) -> float:
     """Return how many periods the object spans; those on the projector if that is not known."""
     if not main.is_absolute:
         return len(main.class_of_order) * main.period_px / period_px
-    known = _part_of(main.phase)
+    known = some_known(main.phase, SAMPLE)
     if not len(known):
         return 0.0
     turns = main.phase.ravel()[known] / TWO_PI + main.order_class.ravel()[known].astype(np.float64)
     low, high = np.percentile(turns, [5, 95])
     return float(high - low) * main.period_px / period_px
-
-
-def _part_of(phase: NDArray[np.float32]) -> NDArray[np.intp]:
-    """Return some of the pixels that have a phase; an odd step does not stay on the same columns
-    of a fringe."""
-    known = np.flatnonzero(np.isfinite(phase))
-    return known[:: max(1, len(known) // SAMPLE) | 1]
 
 
 def _ripple_findings(camera: CameraPhases) -> list[Finding]:
@@ -339,7 +332,7 @@ def _ripple_rad(direction: DirectionPhases, wrapped: WrappedPhaseMap) -> float:
     """
     is_main = wrapped.period_px == direction.main.period_px
     phase = direction.main.phase if is_main else wrapped.phase
-    waves = phase.ravel()[_part_of(phase)].astype(np.float64) * wrapped.n_shifts
+    waves = phase.ravel()[some_known(phase, SAMPLE)].astype(np.float64) * wrapped.n_shifts
     if len(waves) < MIN_RIPPLE_PIXELS:
         return float("nan")
     mean = complex(np.cos(waves).mean(), np.sin(waves).mean())
@@ -347,7 +340,7 @@ def _ripple_rad(direction: DirectionPhases, wrapped: WrappedPhaseMap) -> float:
 
 
 def _sigma_px(phases: PhaseMap) -> float:
-    good = _part_of(phases.phase)
+    good = some_known(phases.phase, SAMPLE)
     return float(np.median(phases.phase_std.ravel()[good])) * phases.period_px / TWO_PI
 
 

@@ -7,7 +7,7 @@ from fringe3d.model.correspondences import Correspondences
 from fringe3d.model.covariance import RigCovariance
 from fringe3d.model.device import Device
 from fringe3d.model.merged import FATES, Fate, MergedCloud, SurfaceMesh
-from fringe3d.model.phasemap import NO_ORDER, PhaseMap, WrappedPhaseMap
+from fringe3d.model.phasemap import NO_ORDER, PhaseMap, WrappedPhaseMap, some_known
 from fringe3d.model.plan import Fringe, GrayBit, Pattern, PatternPlan, Uniform, Unused
 from fringe3d.model.pose import RigidTransform
 from fringe3d.model.rejection import Rejection
@@ -56,4 +56,5 @@ __all__ = [
     "Uniform",
     "Unused",
     "WrappedPhaseMap",
+    "some_known",
 ]

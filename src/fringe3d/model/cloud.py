@@ -38,8 +38,8 @@ class PointMap:
             ("rejection", np.uint32),
         ):
             object.__setattr__(self, name, frozen(getattr(self, name), dtype))
-        x, y, z = np.moveaxis(self.points_mm, -1, 0)
-        if not np.array_equal(np.isfinite(x + y + z), self.rejection == 0):
+        sums = self.points_mm @ np.ones(3)  # finite where all three are
+        if not np.array_equal(np.isfinite(sums), self.rejection == 0):
             raise ValueError("point map: every pixel must have a point or a reason, and not both")
 
     @property

@@ -16,6 +16,25 @@ NO_ORDER = -(2**31)
 """Stands in integer maps where there is no fringe order (orders may be negative)."""
 
 
+def some_known(phase: NDArray[np.floating[Any]], n: int, /) -> NDArray[np.intp]:
+    """Return the places, in the map made flat, of some n to 2 n pixels that have a phase, of all of
+    them where there are fewer.
+
+    An odd step does not stay on the same columns of a fringe.
+
+    Examples
+    --------
+    >>> some_known(np.array([[0.1, np.nan, 0.3], [0.2, 0.4, 0.5]]), 2)
+    array([0, 4])
+    """
+    flat = phase.ravel()
+    step = max(1, flat.size // (8 * n)) | 1  # most maps are known for more than an eighth
+    known = step * np.flatnonzero(np.isfinite(flat[::step]))
+    if len(known) < n and step > 1:
+        known = np.flatnonzero(np.isfinite(flat))
+    return np.asarray(known[:: max(1, len(known) // n) | 1], np.intp)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Deferred:
     """An array that follows from others; see `deferred`."""
