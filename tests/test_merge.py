@@ -118,6 +118,23 @@ def test_finished_views_are_kept_and_broken_scans_named(merged: Path, capsys: Ca
     assert before == {f: f.stat().st_mtime_ns for f in (merged / "body-views").iterdir()}
 
 
+def test_an_interrupt_says_that_finished_views_are_kept(
+    merged: Path, tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def one_view(_sources: object, _options: object, folder: Path, **_more: object) -> None:
+        (folder / "at000").mkdir()
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("fringe3d.cli.merge_run.measure_views", one_view)
+    with pytest.raises(SystemExit) as stopped:
+        main(["merge", str(merged / "results"), "--out", str(tmp_path / "body")])
+    assert stopped.value.code == 130
+    said = " ".join(capsys.readouterr().err.split())
+    assert "interrupted; the views measured so far are kept in" in said
+    assert "nothing was written" not in said
+    assert not (tmp_path / "body").exists()
+
+
 @pytest.mark.parametrize(
     ("words", "message"),
     [

@@ -5,7 +5,8 @@ from __future__ import annotations
 import json
 import math
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -208,9 +209,26 @@ def _measured(sources: Sequence[Source], options: MergeOptions, reporter: Report
 
 
 def _views_folder(options: MergeOptions) -> Path:
-    folder = options.out.with_name(f"{options.out.name}-views")
+    folder = _kept_beside(options.out)
     folder.mkdir(parents=True, exist_ok=True)
     return folder
+
+
+def _kept_beside(out: Path) -> Path:
+    return out.with_name(f"{out.name}-views")
+
+
+@contextmanager
+def telling_what_is_kept(out: Path, /) -> Iterator[None]:
+    """Let an interrupt say that the views that are measured are kept."""
+    try:
+        yield
+    except KeyboardInterrupt as stop:
+        folder = _kept_beside(out)
+        if folder.is_dir() and any(folder.iterdir()):
+            stop.add_note(f"the views measured so far are kept in {folder}: the same command goes "
+                          "on with them")  # fmt: skip
+        raise
 
 
 def _n_cores() -> int:

@@ -97,7 +97,13 @@ def merge(
         off, everything is measured and registered anew with the rig found, which is left as
         OUT/rig.toml.
     """
-    from fringe3d.cli.merge_run import MergeOptions, parse_formats, parse_turns, run_merge
+    from fringe3d.cli.merge_run import (
+        MergeOptions,
+        parse_formats,
+        parse_turns,
+        run_merge,
+        telling_what_is_kept,
+    )
     from fringe3d.io.importing import parse_depth
     from fringe3d.options import MeasureOptions
 
@@ -110,6 +116,6 @@ def merge(
         measuring=MeasureOptions(method=method, depth_mm=parse_depth(depth) if depth else None,
                                  filter=filter_),
     )  # fmt: skip
-    with Reporter(quiet=as_json).running() as reporter:
+    with Reporter(quiet=as_json).running() as reporter, telling_what_is_kept(out):
         text, record = run_merge(options, reporter)
     say(text, record, as_json=as_json)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import signal
 import sys
 import warnings
+from collections.abc import Sequence
 from contextlib import suppress
 from typing import NoReturn
 
@@ -35,13 +36,13 @@ def main(arguments: list[str] | None = None) -> None:
     except MemoryError:
         fail("expected images that fit into memory, found none free. Take smaller or fewer ones")
         sys.exit(2)
-    except KeyboardInterrupt:
-        stop_interrupted()
+    except KeyboardInterrupt as stop:
+        stop_interrupted(getattr(stop, "__notes__", ["nothing was written"]))
 
 
-def stop_interrupted() -> NoReturn:
-    """Say that nothing was written; exit code 130."""
-    fail("interrupted; nothing was written")
+def stop_interrupted(kept: Sequence[str]) -> NoReturn:
+    """Say what is left of the work; exit code 130."""
+    fail(f"interrupted; {'; '.join(kept)}")
     # Where text was being executed, as in a dataclass's module, CPython remembers the interrupt and
     # ends by the signal whatever follows; executing text again makes it forget.
     exec("")
