@@ -62,8 +62,11 @@ MAKERS = {
     "ball-bar": f"{SCENE} --object bar.stl --out ball-bar",
     "bar.stl": "",
     "flat-plate": f"{SCENE} --object flat-plate --out flat-plate",
-    "r1": "measure ball-1 --out r1",
-    "r2": "measure ball-1 --out r2",
+    "ball.stl": "",
+    "turns": f"{SCENE} --object ball.stl --positions 3 --out turns",
+    "r0": "measure turns/000 --out r0",
+    "r1": "measure turns/001 --out r1",
+    "r2": "measure turns/002 --out r2",
     "r3": "measure ball-bar --out r3",
     "r4": "measure flat-plate --out r4",
     "IMAGES": f"{SCENE} --out IMAGES",
@@ -72,7 +75,6 @@ MAKERS = {
     "poses": f"{BOARDS} --object chessboard:9x7:6mm --out poses",
     "SCANS": f"{TURNS} --out SCANS",
     "scans": f"{TURNS} --out scans",
-    "r0": "measure ball-1 --out r0",
     "BOARD-IMAGES": f"{BOARDS} --object chessboard:9x6:6mm --out BOARD-IMAGES",
     "result": "measure SCAN --out result",
     "RESULT": "measure SCAN --out RESULT",
@@ -189,6 +191,8 @@ def prepare(words: list[str], page: Path, made: Path) -> None:
                 beside.unlink(missing_ok=True)
     for word in words[1:]:
         name = word.split("=")[-1]  # of NAME=FILE
+        if name not in MAKERS:
+            name = name.partition("/")[0]  # a scan of several
         if name == "FOLDER" and "--board" in words and "--scan" not in words:
             prepare(["", "poses"], page, made)
             Path("FOLDER").unlink(missing_ok=True)
@@ -297,9 +301,23 @@ def special(word: str) -> Iterator[str]:
 
         trimesh.creation.box((30, 20, 10)).export("box.stl")
         yield "box.stl"
+    if word == "ball.stl":
+        ball().export("off-axis.stl")
+        yield "off-axis.stl"
     if word == "bar.stl":
         bar().export("ball-bar.stl")
         yield "ball-bar.stl"
+
+
+def ball() -> trimesh.Trimesh:
+    """Return the ball of docs/howto-turntable.md, 20.003 mm, beside the axis on a round plate."""
+    import trimesh
+
+    made = trimesh.creation.icosphere(subdivisions=5, radius=20.003 / 2)
+    made.apply_translation((18.0, 0.0, 13.0))
+    plate = trimesh.creation.cylinder(radius=30.0, height=2.0)
+    plate.apply_translation((0.0, 0.0, 1.0))
+    return trimesh.util.concatenate([made, plate])
 
 
 def bar() -> trimesh.Trimesh:
