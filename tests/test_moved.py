@@ -13,6 +13,7 @@ from test_self_calibration import BOTH, ONE, kicked, points_in_space, seen
 from board_series import C1, C2, PROJECTOR
 from closed_form import Recording
 from fringe3d.calibrate import contradiction, expected_contradiction, moved_text, which_moved
+from fringe3d.errors import EmptyResultError
 from fringe3d.model import Device, Rig, RigCovariance, RigidTransform
 from fringe3d.pipeline import measure
 
@@ -37,6 +38,14 @@ def test_the_device_that_moved_is_named(name: str, angles: tuple[float, ...]) ->
     assert moved.movers[0].turn_deg == pytest.approx(0.05, rel=0.05)
     assert moved.residual_px > 5 * moved.left_px
     assert f"device '{name}' has moved" in moved_text(moved)
+
+
+def test_points_that_tell_no_more_than_their_depth_contradict_nothing() -> None:
+    """Not a number would pass any limit; a plane that two devices hardly saw was such a case."""
+    cloud = seen(points_in_space(300, 5), ONE, noise_px=0.05)
+    sights = tuple(replace(s, ahead_px=np.full_like(s.ahead_px, np.nan)) for s in cloud.sights)
+    with pytest.raises(EmptyResultError, match="more than their depth"):
+        contradiction([replace(cloud, sights=sights)], DEVICES)
 
 
 def test_two_that_moved_are_not_one() -> None:

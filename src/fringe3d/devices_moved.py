@@ -117,8 +117,12 @@ def _moved(
         moved = replace(which_moved([points], devices), is_free=is_free)
     except EmptyResultError:
         return []
+    if moved.residual_px < limit_px:
+        return []  # so say more points
     if moved.residual_px < EPIPOLAR_WARNING_PX and not moved.is_of_poses:
         return []  # what is left is that of fringes, not of poses
+    if moved.left_px >= moved.residual_px:
+        return []  # the best poses are no better: stray points, as of edges, contradict each other
     again = "Calibrate again (--self-calibrate)" if moved.is_of_poses else "Calibrate with a board"
     advice = f"{again}. Limit: {limit_px:.2f} px"
     return [Finding(level, "moved_px", moved.residual_px, f"{moved_text(moved)}. {advice}")]

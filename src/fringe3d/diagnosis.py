@@ -260,6 +260,9 @@ def _exchanged(
     now = result.points.n_points if isinstance(result, Measurement) and result.points else 0
     if other.points.n_points <= LEAST_POINTS * other.points.rejection.size:
         return None
+    is_better = other.points.n_points > now
+    if not is_better and all(fault.figure == GEOMETRIC[LOST] for fault in _accusations(result)):
+        return None  # neither contradicts itself: the one that finds more is right
     text = (
         f"the images of '{first.device_name}' and '{second.device_name}' fit each other's "
         f"calibration: {other.points.n_points:,} points without contradiction, {now:,} as described"

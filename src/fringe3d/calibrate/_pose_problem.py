@@ -197,7 +197,8 @@ def left_over(scan: Viewed, at: State, depths: Floats) -> tuple[Floats, Floats]:
 
 
 def contradiction_px(problem: PoseProblem, at: State) -> float:
-    """Return the median of the root mean square of what is left of each point, projector px."""
+    """Return the median of the root mean square of what is left of each point, projector px; NaN
+    where no point has more than one datum."""
     per_point = []
     for scan, depths in zip(problem.scans, at.depths, strict=True):
         left, sigma = left_over(scan, at, depths)
@@ -205,7 +206,8 @@ def contradiction_px(problem: PoseProblem, at: State) -> float:
         many = known.sum(axis=1) > 1
         total = np.where(known, squares, 0.0).sum(axis=1)[many]
         per_point.append(np.sqrt(total / known.sum(axis=1)[many]))
-    return float(np.median(np.concatenate(per_point)))
+    values = np.concatenate(per_point)
+    return float(np.median(values)) if len(values) else float("nan")
 
 
 def crowding_of(problem: PoseProblem, at: State, noise: float) -> float:

@@ -104,9 +104,12 @@ def contradiction(scans: Sequence[Homologous], devices: Sequence[Device], /) -> 
     Raises
     ------
     EmptyResultError
-        If no points lie in front of the devices.
+        If no points lie in front of the devices, or none can contradict them.
     """
-    return contradiction_px(*problem_of_points(scans, devices))
+    value = contradiction_px(*problem_of_points(scans, devices))
+    if np.isnan(value):
+        raise EmptyResultError("expected points that tell more than their depth, found none")
+    return value
 
 
 def which_moved(scans: Sequence[Homologous], devices: Sequence[Device], /) -> Moved:
