@@ -31,7 +31,7 @@ from fringe3d.pipeline import Measurement
 from fringe3d.session import Session
 
 PRESETS = {"m2": "kolibri", "m5": "kolibri-m5", "m6": "kolibri"}
-FRAME_S, RENEWING = 0.02, 0.15
+FRAME_S, RENEWING = 0.02, 0.1
 HEADER = (
     "method", "images", "clouds/s", "latency, ms", "dropped", "without a cloud",
     "points", "memory, MB", "growth, MB/min",

@@ -106,7 +106,17 @@ ALLOWED: dict[str, set[str]] = {
     # It judges frames as health does, and knows from the rig which way fringes must move.
     "acquire": NOUNS | {"devices", "geometry", "health", "patterns"},
     # Cameras, measurement and what they show, all at once.
-    "live": NOUNS | {"acquire", "decode", "decoding", "devices", "patterns", "pipeline", "session"},
+    "live": NOUNS
+    | {
+        "acquire",
+        "decode",
+        "decoding",
+        "devices",
+        "kernels",
+        "patterns",
+        "pipeline",
+        "session",
+    },
     "report": NOUNS
     | {
         "calibrate",

@@ -136,7 +136,7 @@ def test_an_unrelated_frame_before_makes_no_surer() -> None:
     """A thousand periods off it speaks against all solutions alike."""
     rig = small_rig(projector_azimuth_deg=-1.0)
     alone, beside = (task_of(rig, views_of(rig)) for _ in range(2))
-    beside.before[:] = 999.0
+    beside.before = np.full(len(beside.where), 999.0)
     found, again = rivals([alone]), rivals([beside])
     assert found is not None
     assert again is not None

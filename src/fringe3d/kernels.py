@@ -8,7 +8,7 @@ import os
 import sys
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
 from threading import Lock
@@ -99,6 +99,35 @@ def n_threads() -> int:
     from numba import get_num_threads
 
     return int(get_num_threads())
+
+
+@contextmanager
+def sharing(n: int, /) -> Iterator[None]:
+    """Let the calling thread use no more than its part of the threads, where n do their own work.
+
+    Parts of rows that wait for each other's threads cost more than they win.
+
+    Parameters
+    ----------
+    n : int; threads of the program that compute at the same time, each within such a block
+
+    Examples
+    --------
+    >>> before = n_threads()
+    >>> with sharing(before):
+    ...     n_threads()
+    1
+    >>> n_threads() == before
+    True
+    """
+    from numba import get_num_threads, set_num_threads
+
+    before = get_num_threads()
+    set_num_threads(max(1, before // n))
+    try:
+        yield
+    finally:
+        set_num_threads(before)
 
 
 def over_rows(

@@ -232,7 +232,7 @@ def live(
     period_ms: Annotated[float, Parameter(validator=at_least(0.1))] = 30.0,
     method: Literal["auto", "m0", "m1", "m2", "m3", "m4", "m5", "m6", "projector"] = "auto",
     motion: Annotated[bool, Parameter(negative=())] = False,
-    renew: Annotated[float, Parameter(validator=at_least(1, 100))] = 15.0,
+    renew: Annotated[float, Parameter(validator=at_least(1, 100))] = 10.0,
     clouds: Annotated[int | None, Parameter(validator=at_least(1))] = None,
     host: str = "127.0.0.1",
     port: Annotated[int, Parameter(validator=at_least(1, 65535))] = 8080,

@@ -15,6 +15,7 @@ from fringe3d.decode import CameraPhases, stilled
 from fringe3d.decoding import Decoded, carried_on
 from fringe3d.devices import Clock
 from fringe3d.errors import Fringe3DError
+from fringe3d.kernels import sharing
 from fringe3d.live.window import Moment, SlidingWindow
 from fringe3d.model import ImageStack
 from fringe3d.pipeline import Measurement
@@ -27,6 +28,9 @@ KEPT_TIMES = 200
 """Of the newest clouds, of which the latency is told."""
 
 IDLE_S = 0.05
+
+AT_ONCE = 2
+"""Sequences that are worked on: one is decoded, one measured."""
 
 SETTLING_S = 2.0
 """Within which the orders of a frame are settled after the frame before was measured."""
@@ -169,7 +173,8 @@ class Live:
                 ahead = pool.submit(self._decode_newest)
                 while (ready := ahead.result()) is not None:
                     ahead = pool.submit(self._decode_newest)
-                    result = self._measured(ready, before)
+                    with sharing(AT_ONCE):
+                        result = self._measured(ready, before)
                     before = result or before
                     show(result, ready.stacks, self.figures)
                     if most_clouds is not None and self._count["clouds"] >= most_clouds:
@@ -215,7 +220,7 @@ class Live:
             return None
         stacks = self._window.stacks(job.ordered)
         times = tuple(moment.number for moment in job.ordered)
-        with self._counting_failures():
+        with self._counting_failures(), sharing(AT_ONCE):
             decoded = self._steps.decode(stacks, times)
         return _Ready(job=job, stacks=stacks, shown=decoded)
 
