@@ -75,6 +75,7 @@ MAKERS = {
     "poses": f"{BOARDS} --object chessboard:9x7:6mm --out poses",
     "SCANS": f"{TURNS} --out SCANS",
     "scans": f"{TURNS} --out scans",
+    "body": "merge scans --out body",
     "BOARD-IMAGES": f"{BOARDS} --object chessboard:9x6:6mm --out BOARD-IMAGES",
     "result": "measure SCAN --out result",
     "RESULT": "measure SCAN --out RESULT",
