@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
@@ -25,7 +25,7 @@ from fringe3d.calibrate import (
 )
 from fringe3d.errors import EmptyResultError, MethodError
 from fringe3d.geometry import rays
-from fringe3d.model import Device, Registration, Rig, RigCovariance, SurfaceView
+from fringe3d.model import Device, Registration, Rig, SurfaceView
 from fringe3d.register import OverlapSystem, TablePrior, split_edges, surface_view
 
 Floats = NDArray[np.float64]
@@ -215,7 +215,7 @@ def rig_from_views(
     system.land(last, poses)
     step("recalibrating", MOST_ROUNDS, MOST_ROUNDS)
     sigma = np.sqrt(np.diagonal(covariance))
-    final = _with(rig, now, covariance_of(now, numbers, covariance))
+    final = replace(rig.with_devices(now), covariance=covariance_of(now, numbers, covariance))
     return RigFromViews(
         rig=final,
         changes=tuple(RigChange(device=devices[n.device].name, number=n.name, value=float(v),
@@ -270,18 +270,6 @@ def _in_sigmas(off: Floats, covariance: Floats, numbers: Sequence[RigNumber]) ->
         return 0.0
     along = axes[:, told].T @ (off / likely)
     return float(np.sqrt(np.mean(along**2 / spread[told])))
-
-
-def _with(rig: Rig, devices: Sequence[Device], covariance: RigCovariance) -> Rig:
-    named = {device.name: device for device in devices}
-    projector = rig.projector
-    return Rig(
-        cameras=tuple(named.get(camera.name, camera) for camera in rig.cameras),
-        projector=named.get(projector.name, projector) if projector is not None else None,
-        volume=rig.volume,
-        provenance=rig.provenance,
-        covariance=covariance,
-    )
 
 
 def _form(former: Rig, now: Rig, view: SurfaceView) -> float:

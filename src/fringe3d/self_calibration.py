@@ -172,7 +172,7 @@ def self_calibrate(
         near = fitted.devices if fitted is not None else _devices(found, recordings)
         is_last = number == n_rounds - 1
         fitted = fit_poses(points, before, near=near, known=rig.covariance if is_last else None)
-        found = _with(rig, fitted.devices)
+        found = rig.with_devices(fitted.devices)
         if not is_numbered and not is_last:
             found = _with_orders(recordings, found, options)
     step(work, n_steps, n_steps)
@@ -184,7 +184,7 @@ def self_calibrate(
         found = replace(found, covariance=fitted.joint)
     else:
         factor = length.length_mm / distance_of(length, points[0], fitted.devices)
-        found = _with(rig, fitted.scaled(factor))
+        found = rig.with_devices(fitted.scaled(factor))
     return SelfCalibrated(
         rig=found,
         fitted=fitted,
@@ -301,18 +301,6 @@ def _devices(rig: Rig, recordings: Sequence[_Recording]) -> tuple[Device, ...]:
         )
     own = tuple(cameras[name] for name in names[0])
     return (*own, rig.projector) if rig.projector is not None else own
-
-
-def _with(rig: Rig, devices: Sequence[Device]) -> Rig:
-    """Return the rig with devices in place of those of their names."""
-    named = {device.name: device for device in devices}
-    projector = rig.projector
-    return Rig(
-        cameras=tuple(named.get(camera.name, camera) for camera in rig.cameras),
-        projector=named.get(projector.name, projector) if projector is not None else None,
-        volume=rig.volume,
-        provenance=rig.provenance,
-    )
 
 
 def _homologous(recording: _Recording, rig: Rig, options: MeasureOptions) -> Homologous:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -58,6 +59,21 @@ class Rig:
     def devices(self) -> tuple[Device, ...]:
         """Return the cameras and, if there is one, the projector."""
         return (*self.cameras, *((self.projector,) if self.projector else ()))
+
+    def with_devices(self, devices: Sequence[Device], /) -> Rig:
+        """Return the rig with devices in place of those of their names.
+
+        Bias and covariance belonged to the former devices, and are left out.
+        """
+        named = {device.name: device for device in devices}
+        projector = self.projector
+        return replace(
+            self,
+            cameras=tuple(named.get(camera.name, camera) for camera in self.cameras),
+            projector=named.get(projector.name, projector) if projector is not None else None,
+            bias=None,
+            covariance=None,
+        )
 
     def _repr_html_(self) -> str:
         first = self.cameras[0].center_world
