@@ -36,7 +36,8 @@ from fringe3d.io.importing import (
     scan_text,
 )
 from fringe3d.io.recording import read_scan
-from fringe3d.io.rigfile import read_rig, rig_text, slab_text
+from fringe3d.io.rigfile import read_rig, rig_text
+from fringe3d.io.volumetable import slab_text
 from fringe3d.pipeline import Measurement, MeasureOptions, measure
 from fringe3d.report.folder import finding_record, summary
 
