@@ -29,7 +29,8 @@ from fringe3d.model import NO_ORDER
 pytest.importorskip("embreex")
 trimesh = pytest.importorskip("trimesh")
 
-from fringe3d.cli.simulator import HEAD, KINDS, parse_tilts  # noqa: E402
+from fringe3d.cli.simulation_words import parse_tilts  # noqa: E402
+from fringe3d.cli.simulator import HEAD, KINDS  # noqa: E402
 from fringe3d.simulate import OBJECTS, PRESETS  # noqa: E402
 
 Maps = dict[str, NDArray[Any]]

@@ -96,7 +96,8 @@ def simulate(
 
     with simulator_installed("simulate"):
         from fringe3d.cli.board_simulator import N_POSES, is_board
-        from fringe3d.cli.simulator import SimulateOptions, parse_tilts, run_simulation
+        from fringe3d.cli.simulation_words import parse_tilts
+        from fringe3d.cli.simulator import SimulateOptions, run_simulation
 
     default_plan, default_positions = ("m0", N_POSES) if is_board(thing) else ("m1", 1)
     options = SimulateOptions(

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import difflib
-import math
-import re
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -20,6 +18,7 @@ from fringe3d.cli.board_simulator import (
     write_series_truth,
 )
 from fringe3d.cli.console import Reporter
+from fringe3d.cli.simulation_words import parse_axis_off, parse_knock
 from fringe3d.cli.stage_cache import prepare_cached
 from fringe3d.errors import Fringe3DError, MethodError, PlanError
 from fringe3d.io.atomic import new_folder, require_writable
@@ -177,25 +176,6 @@ def _write_true_rig(folder: Path, rig: Rig, options: SimulateOptions) -> None:
         (folder / "true-rig.toml").write_text(rig_text(rig), encoding="utf-8")
 
 
-def parse_knock(text: str, /) -> tuple[str, float, float]:
-    """Return device, turn in degrees and shift in mm of ``--knock``.
-
-    Examples
-    --------
-    >>> parse_knock("c2:0.05deg:0.1mm")
-    ('c2', 0.05, 0.1)
-    """
-    form = re.fullmatch(r"([^:]+):([\d.]+)deg:([\d.]+)mm", text)
-    try:
-        if form is None:
-            raise ValueError
-        return form[1], float(form[2]), float(form[3])
-    except ValueError:
-        raise MethodError(
-            f"--knock: expected device, turn and shift, as c2:0.05deg:0.1mm, found '{text}'"
-        ) from None
-
-
 def _series(options: SimulateOptions, preset: Preset) -> BoardSeries | None:
     """Return the series of a board, where the object is one."""
     if not is_board(options.thing):
@@ -223,25 +203,6 @@ def _turned(options: SimulateOptions, preset: Preset, surface: Surface) -> list[
 def _axis(options: SimulateOptions) -> TableAxis:
     off_mm, lean_deg = parse_axis_off(options.axis_off)
     return table_axis(off_mm=off_mm, lean_deg=lean_deg, seed=options.seed)
-
-
-def parse_axis_off(text: str, /) -> tuple[float, float]:
-    """Return mm and degrees of ``--axis-off``.
-
-    Examples
-    --------
-    >>> parse_axis_off("5mm:2deg")
-    (5.0, 2.0)
-    """
-    form = re.fullmatch(r"([\d.]+)mm:([\d.]+)deg", text)
-    try:
-        if form is None:
-            raise ValueError
-        return float(form[1]), float(form[2])
-    except ValueError:
-        raise MethodError(
-            f"--axis-off: expected mm and degrees, as 5mm:2deg, found '{text}'"
-        ) from None
 
 
 def _preset(options: SimulateOptions) -> Preset:
@@ -394,22 +355,3 @@ def _fringe_order(truth: Truth, plan: PatternPlan) -> NDArray[np.int32]:
 def _title(options: SimulateOptions) -> str:
     thing = options.thing if ":" in options.thing else Path(options.thing).stem
     return f"{thing} on {options.preset}, plan {Path(options.plan).stem}"
-
-
-def parse_tilts(text: str, /) -> tuple[float, ...]:
-    """Return the tilts of ``--tilts``, degrees.
-
-    Examples
-    --------
-    >>> parse_tilts("0,30")
-    (0.0, 30.0)
-    """
-    try:
-        tilts = tuple(float(part) for part in text.split(","))
-    except ValueError:
-        tilts = (math.nan,)
-    if not all(abs(tilt) <= 90 for tilt in tilts):
-        raise MethodError(
-            f"--tilts: expected degrees from -90 to 90 with commas between, as 0,30, found '{text}'"
-        )
-    return tilts
