@@ -15,7 +15,8 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import breadth_first_order, connected_components, minimum_spanning_tree
 
 from fringe3d.correspond.choice import Choice, Weighed
-from fringe3d.correspond.weighing import LARGEST_COST, Task
+from fringe3d.correspond.limits import LARGEST_COST
+from fringe3d.correspond.weighing import Task
 from fringe3d.model import NO_ORDER
 
 Bools = NDArray[np.bool_]

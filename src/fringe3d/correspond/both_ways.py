@@ -11,7 +11,8 @@ from fringe3d.correspond import _around
 from fringe3d.correspond.bias import Frame
 from fringe3d.correspond.choice import Choice, Placed
 from fringe3d.correspond.grid import spread
-from fringe3d.correspond.weighing import CLEAR, TWO_PI, Task, TwoViews
+from fringe3d.correspond.limits import CLEAR, TWO_PI
+from fringe3d.correspond.weighing import Task, TwoViews
 from fringe3d.geometry import project, rays, sheet_crossing
 from fringe3d.kernels import over_rows
 from fringe3d.model import NO_ORDER, CalibrationBias, Device, Rejection

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from fringe3d.correspond._clear import LEAST_PLACING_RATIO
 from fringe3d.correspond._orders import DIFFERENCE, RATIO
 from fringe3d.correspond.choice import Choice
-from fringe3d.correspond.weighing import TWO_PI, Task
+from fringe3d.correspond.limits import TWO_PI
+from fringe3d.correspond.weighing import Task
 from fringe3d.model import NO_ORDER, CalibrationBias, PhaseMap, Rejection
 from fringe3d.model.rejection import reject
 

@@ -20,11 +20,12 @@ from fringe3d.correspond.choice import Choice
 from fringe3d.correspond.curves import ray_curves
 from fringe3d.correspond.direct import Judging, numbers_of_judging
 from fringe3d.correspond.grid import spread
+from fringe3d.correspond.limits import CLEAR, TWO_PI
 from fringe3d.correspond.projector import GUARD_PX, GUARD_SIGMA
 from fringe3d.correspond.solving import solve
 from fringe3d.correspond.surfaces import CONTINUOUS
 from fringe3d.correspond.visibility import takes_foreign_light
-from fringe3d.correspond.weighing import CLEAR, TWO_PI, Task, TwoViews, label_step_of
+from fringe3d.correspond.weighing import Task, TwoViews, label_step_of
 from fringe3d.geometry import grid_rays
 from fringe3d.kernels import over_rows
 from fringe3d.model import (

@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 
 from fringe3d.correspond import _direct
 from fringe3d.correspond.curves import ray_curves
+from fringe3d.correspond.limits import MOST_SIGMA
 from fringe3d.correspond.projector import GUARD_PX, GUARD_SIGMA
-from fringe3d.correspond.weighing import MOST_SIGMA, TwoViews
+from fringe3d.correspond.weighing import TwoViews
 from fringe3d.geometry import grid_rays
 from fringe3d.geometry.meeting import Met
 from fringe3d.geometry.projection import lens_of

@@ -12,8 +12,9 @@ from fringe3d.correspond.candidates import FIT_SIGMA, learnt_coarsely
 from fringe3d.correspond.chosen import LEAST_RATIO, SEARCH_TURNS
 from fringe3d.correspond.curves import ray_curves
 from fringe3d.correspond.direct import Judging, Located, locate
+from fringe3d.correspond.limits import MOST_SIGMA, TWO_PI
 from fringe3d.correspond.projector import GUARD_PX, GUARD_SIGMA
-from fringe3d.correspond.weighing import MOST_SIGMA, TWO_PI, TwoViews
+from fringe3d.correspond.weighing import TwoViews
 from fringe3d.geometry import grid_rays
 from fringe3d.geometry.projection import lens_of
 from fringe3d.kernels import over_rows

@@ -16,6 +16,7 @@ from scipy import ndimage
 from fringe3d.correspond._aggregate import STEP_PENALTY
 from fringe3d.correspond.bias import Frame, expected, learn_bias
 from fringe3d.correspond.choice import Choice
+from fringe3d.correspond.limits import LARGEST_COST, LARGEST_EXTRA
 from fringe3d.correspond.solving import (
     REFINEMENTS,
     clear_ones,
@@ -24,7 +25,7 @@ from fringe3d.correspond.solving import (
     refined,
 )
 from fringe3d.correspond.surfaces import CONTINUOUS, absolute_turns, surfaces
-from fringe3d.correspond.weighing import LARGEST_COST, LARGEST_EXTRA, Task
+from fringe3d.correspond.weighing import Task
 from fringe3d.correspond.whole import made_whole
 from fringe3d.geometry import project, rays
 from fringe3d.model import NO_ORDER, CalibrationBias, Device

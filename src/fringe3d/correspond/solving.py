@@ -17,7 +17,8 @@ from fringe3d.correspond.bias import (
     learn_bias,
 )
 from fringe3d.correspond.choice import Choice
-from fringe3d.correspond.weighing import CLEAR, EXPECTED_CALIBRATION_PX, Task
+from fringe3d.correspond.limits import CLEAR, EXPECTED_CALIBRATION_PX
+from fringe3d.correspond.weighing import Task
 from fringe3d.correspond.whole import made_whole
 from fringe3d.model import NO_ORDER, CalibrationBias
 

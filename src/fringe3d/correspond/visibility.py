@@ -7,9 +7,10 @@ from numpy.typing import NDArray
 
 from fringe3d.correspond import _light
 from fringe3d.correspond.choice import Choice, Placed
+from fringe3d.correspond.limits import TWO_PI
 from fringe3d.correspond.occlusion import hidden_from
 from fringe3d.correspond.surfaces import surfaces
-from fringe3d.correspond.weighing import TWO_PI, Task
+from fringe3d.correspond.weighing import Task
 from fringe3d.geometry import sheet_crossing
 from fringe3d.kernels import POINTS, over_rows
 from fringe3d.model import NO_ORDER, Device

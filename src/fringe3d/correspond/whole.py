@@ -11,10 +11,11 @@ from scipy import ndimage
 from fringe3d.correspond import _orders, _whole
 from fringe3d.correspond.bias import PATCH_PX
 from fringe3d.correspond.choice import Choice
+from fringe3d.correspond.limits import CLEAR, LARGEST_EXTRA, TWO_PI
 from fringe3d.correspond.occlusion import hidden_from
 from fringe3d.correspond.pieces import cut_apart
 from fringe3d.correspond.surfaces import surfaces
-from fringe3d.correspond.weighing import CLEAR, LARGEST_EXTRA, TWO_PI, Task
+from fringe3d.correspond.weighing import Task
 from fringe3d.kernels import over_rows
 from fringe3d.model import NO_ORDER
 

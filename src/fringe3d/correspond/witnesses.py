@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from fringe3d.correspond._orders import DIFFERENCE
 from fringe3d.correspond.choice import Candidates, Choice, Weighed
+from fringe3d.correspond.limits import LARGEST_COST
 from fringe3d.correspond.solving import learnt_from, nothing_known, solve
-from fringe3d.correspond.weighing import LARGEST_COST, Task
+from fringe3d.correspond.weighing import Task
 from fringe3d.model import CalibrationBias, Device, MeasuringVolume, PhaseMap
 
 
