@@ -130,13 +130,9 @@ def land(points, pixels, grid, normals, sigma, center, reach, out, rows):  # typ
             depth = (a - center[0]) * d0 + (b - center[1]) * d1 + (d - center[2]) * d2
             if math.isnan(nearest) or abs(range_ - depth) < abs(nearest):
                 nearest = range_ - depth
-            if math.isnan(normals[rr, cc, 0]):
-                is_whole = False
-                continue
-            e0 = a - grid[r, c, 0]
-            e1 = b - grid[r, c, 1]
-            e2 = d - grid[r, c, 2]
-            if not e0 * e0 + e1 * e1 + e2 * e2 <= 2 * reach * reach:
+            e0, e1, e2 = a - grid[r, c, 0], b - grid[r, c, 1], d - grid[r, c, 2]
+            is_near = e0 * e0 + e1 * e1 + e2 * e2 <= 2 * reach * reach
+            if not is_near or math.isnan(normals[rr, cc, 0]):
                 is_whole = False
                 continue
             p0 += w * a

@@ -51,7 +51,7 @@ def segment_picture(
     others = [d for d in rig.devices if d.name in story.segments]
     shown = [d for d in others if d.name in phases or d.role == "projector"]
     curves = {d.name: project(d, ray) for d in shown}
-    seen_by = [d.name for d in shown if d.name in phases and story.phase is not None]
+    seen_by = [d.name for d in shown if d.name in phases and math.isfinite(story.phase)]
     figure = Figure(figsize=(WIDTH_IN, 1.25 * (1 + len(shown)) + 1.7 * len(seen_by)),
                     layout="constrained")  # fmt: skip
     ratios = [1.25] * (1 + len(shown)) + [1.7] * len(seen_by)
