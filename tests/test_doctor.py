@@ -22,11 +22,22 @@ from closed_form import Recording, SphereScene, record_scene
 from fringe3d.cli import main
 from fringe3d.decode import fuse
 from fringe3d.diagnosis import diagnose
-from fringe3d.health import check_exposure, check_sequence, light_of, lit_map, steps_of
+from fringe3d.errors import EmptyResultError
+from fringe3d.health import Finding, check_exposure, check_sequence, light_of, lit_map, steps_of
 from fringe3d.health.steadiness import displacement_px
 from fringe3d.io.images import read_image
 from fringe3d.io.scanfolder import write_scan
-from fringe3d.model import Fringe, GrayBit, ImageStack, MeasuringVolume, Pattern, Rig, Scan
+from fringe3d.model import (
+    Fringe,
+    GrayBit,
+    ImageStack,
+    MeasuringVolume,
+    Pattern,
+    Rejection,
+    Rig,
+    Scan,
+)
+from fringe3d.pipeline import Measurement, measure
 
 SEED = 20261201
 
@@ -179,6 +190,36 @@ def test_a_wrong_calibration_is_told_from_exchanged_cameras(recording: Recording
     names = replace(first, device_name="c2"), replace(second, device_name="c1")
     exchanged = replace(scan, stacks=names[::-1])
     assert [k.value for k in diagnose(exchanged).kinds] == ["cameras-exchanged"]
+
+
+@pytest.mark.parametrize(("part", "kinds"), [(0.5, []), (1.2, ["cameras-exchanged"])])
+def test_cameras_are_exchanged_only_where_that_finds_more(
+    recording: Recording, monkeypatch: pytest.MonkeyPatch, part: float, kinds: list[str]
+) -> None:
+    """Most pixels see a table outside the volume; `part` of the points are found exchanged."""
+    scan, _ = recording
+    assert scan.rig is not None
+    whole = measure(scan)
+    assert whole.points is not None
+    places = np.argwhere(whole.points.is_valid)
+    lost = Finding("warning", "lost_part", 0.85, "85 % of the pixels have no possible point")
+
+    def found(shown: Scan, _: object = None) -> Measurement:
+        assert shown.rig is not None
+        assert whole.points is not None
+        if shown.rig.volume is None:
+            raise EmptyResultError("nothing without the volume")
+        is_described = shown.stacks[0].images is scan.stacks[0].images
+        left_out = places[int(0.5 * (1 if is_described else part) * len(places)) :]
+        rejection = whole.points.rejection.copy()
+        points = whole.points.points_mm.copy()
+        rejection[tuple(left_out.T)], points[tuple(left_out.T)] = Rejection.NO_MATCH, np.nan
+        kept = replace(whole.points, points_mm=points, rejection=rejection)
+        other = [f for f in whole.findings if f.name != "lost_part"]
+        return replace(whole, points=kept, findings=(*other, *([lost] if is_described else [])))
+
+    monkeypatch.setattr("fringe3d.diagnosis.measure", found)
+    assert [k.value for k in diagnose(scan).kinds] == kinds
 
 
 def test_an_object_outside_the_volume_is_told(recording: Recording) -> None:
